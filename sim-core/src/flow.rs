@@ -24,7 +24,7 @@ const FULL: f64 = 1.0 - 1e-6;
 const ROUNDING: f64 = 1e-9;
 /// Numbers of random streams of sources, behind those of any bodies.
 const STREAMS: u64 = 1 << 32;
-/// The same of its rows and layers.
+/// The same for rows and layers of sources.
 const ROWS: u64 = 1 << 33;
 
 /// A particle that a source brings in.
@@ -71,6 +71,8 @@ struct Mouth {
     /// Lattice points of a layer [m], and the directions from one to the next, in the layer and along the stream.
     sites: Vec<Vec3>,
     axes: [Vec3; 3],
+    /// Spacings from the outermost points to the ends of the mouth along these, half of one at most.
+    room: [f64; 2],
     /// The row along the first direction in which each of the points lies.
     rows: Vec<u64>,
     sampling: Sampling,
@@ -148,6 +150,7 @@ impl Mouth {
         Ok(Self {
             material,
             body: (scene.body.len() + i) as u16,
+            room: [axes[0], axes[1]].map(|axis| room(&*solid, axis, spacing)),
             rows: rows(&sites, axes[1], spacing),
             sites,
             axes,
@@ -205,8 +208,11 @@ impl Mouth {
         let part = |number: u64, axis: u64| uniform(seed, ROWS + u64::from(self.body), number, axis);
         let within = match self.sampling {
             Sampling::Auto | Sampling::Lattice => [0.5; 3],
-            // As bodies are staggered: rows, and whole layers.
-            Sampling::Stagger => [part(row()[0], 0), part(row()[1], 1), 0.5],
+            // Rows and whole layers, as far as they stay in the mouth.
+            Sampling::Stagger => {
+                let [row, layer] = [part(row()[0], 0), part(row()[1], 1)];
+                [0.5 + self.room[0] * (2.0 * row - 1.0), 0.5 + self.room[1] * (2.0 * layer - 1.0), 0.5]
+            }
             Sampling::Jitter => [0, 1, 3].map(|number| self.random(seed, layer, site, number)),
         };
         for (axis, within) in self.axes.iter().zip(within) {
@@ -501,6 +507,18 @@ fn directions(along: Vec3) -> [Vec3; 3] {
     [first, cross(along, first), along]
 }
 
+/// How wide a solid is along a direction, at most [m].
+fn extent(solid: &dyn Solid, axis: Vec3) -> f64 {
+    let Aabb { min, max } = solid.bounds();
+    (0..3).map(|d| axis[d].abs() * (max[d] - min[d])).sum()
+}
+
+/// Spacings from a layer's outermost points to its mouth's end, half of one at most.
+fn room(solid: &dyn Solid, axis: Vec3, spacing: f64) -> f64 {
+    let spacings = extent(solid, axis) / spacing;
+    0.5 + 0.5 * (spacings - spacings.round()).min(0.0)
+}
+
 /// The number of the row in which each point of a layer lies: rows follow one another along `across`.
 fn rows(sites: &[Vec3], across: Vec3, spacing: f64) -> Vec<u64> {
     let along = |x: &Vec3| (0..3).map(|d| x[d] * across[d]).sum::<f64>();
@@ -512,10 +530,7 @@ fn rows(sites: &[Vec3], across: Vec3, spacing: f64) -> Vec<u64> {
 fn layer(solid: &dyn Solid, [u, v, _]: [Vec3; 3], spacing: f64) -> Vec<Vec3> {
     let Aabb { min, max } = solid.bounds();
     let middle: Vec3 = std::array::from_fn(|d| 0.5 * (min[d] + max[d]));
-    let count = |axis: Vec3| {
-        let extent: f64 = (0..3).map(|d| axis[d].abs() * (max[d] - min[d])).sum();
-        (extent / spacing).round() as i64
-    };
+    let count = |axis: Vec3| (extent(solid, axis) / spacing).round() as i64;
     let (across, along) = (count(u), count(v));
     let at = |i: i64, count: i64| (i as f64 - 0.5 * (count - 1) as f64) * spacing;
     let points = (0..across).flat_map(|i| (0..along).map(move |j| (at(i, across), at(j, along))));

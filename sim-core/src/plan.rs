@@ -118,7 +118,9 @@ pub struct Plan {
     pub regions: Regions,
     /// The ground as a function of position, if only what is within reach of agents is live.
     pub terrain: Option<Arc<Terrain>>,
-    /// Boxes that bodies may come to fill which flow apart or fly, inside the world [m]; empty where a run is resumed.
+    /// Bodies whose particles stand staggered, by their numbers in the scene; empty in a run that is resumed, unless ground is still to come.
+    pub staggered: Vec<usize>,
+    /// Boxes that bodies may come to fill which flow apart or fly, inside the world [m]; empty in a run that is resumed.
     pub reaches: Vec<Aabb>,
     /// Its sources and sinks, if it has any.
     pub flows: Option<Arc<Flows>>,
@@ -234,7 +236,7 @@ impl Plan {
         files.extend(task.iter().flat_map(|(_, parameters)| parameters.files()));
         let files = files.into_iter().map(|file| Stamp::of(&scene.folder, file)).collect::<Result<_>>()?;
         let mut warnings = scene.warnings();
-        warnings.extend(terrain.iter().flat_map(|terrain| overlapping(terrain)));
+        warnings.extend(terrain.iter().flat_map(|terrain| overlapping(&scene, terrain)));
         let mut plan = Self {
             files,
             precision: options.precision,
@@ -245,6 +247,7 @@ impl Plan {
             ground_cells: Vec::new(),
             cell_min,
             cell_max,
+            staggered: terrain.as_deref().map_or_else(Vec::new, Terrain::staggered),
             reaches: terrain.as_deref().map_or_else(Vec::new, |terrain| terrain.reaches().to_vec()),
             terrain: terrain.filter(|_| regions.unbounded()),
             flows,
@@ -332,10 +335,12 @@ impl Plan {
 }
 
 /// Says which bodies overlap.
-fn overlapping(terrain: &Terrain) -> Vec<String> {
+fn overlapping(scene: &Scene, terrain: &Terrain) -> Vec<String> {
     let warning = |([one, other], volume): ([usize; 2], f64)| {
         format!(
-            "body[{other}]: it overlaps body[{one}] in about {volume:.1e} m³, where matter is there twice; move one of them, or cut it by a difference"
+            "{}: it overlaps {} in about {volume:.1e} m³, where matter is there twice; move one of them, or cut it by a difference",
+            scene.name_of_body(other),
+            scene.name_of_body(one)
         )
     };
     terrain.overlaps().into_iter().map(warning).collect()

@@ -16,6 +16,8 @@ const ELASTIC: f64 = 1.5;
 const PRESSED: f64 = 1e-3;
 /// Height of a vertical face that stands by itself over strength by weight per volume.
 const FACE: f64 = 4.0;
+/// A body that is lower than this share of half its width is a bed, of which only the edges flow.
+const LOW: f64 = 0.25;
 /// What bears less of a pressure as shear than this does not come to rest before a wall.
 const FLUID: f64 = 0.02;
 /// Share of gravity along x or y from which on ground slides that way.
@@ -42,17 +44,19 @@ pub(crate) struct Runout {
     pub(crate) reaches: Option<Aabb>,
 }
 
-/// Where a body of such materials and so much volume [m³] may get.
+/// Where a body of such materials and so much volume [m³] may get, in gravity that is greatest along z.
 ///
-/// Dry grains run out by 1.2 of their height, and if they stand as a slender column, by 1.9 height^(2/3) width^(1/3) in a channel and 1.6 √(height radius) to all sides,
-/// whatever their friction is: Lube, Huppert, Sparks and Freundt, Physical Review E 72 (2005) 041301, and Journal of Fluid Mechanics 508 (2004) 175. A fluid runs out until it
-/// is as thin as a particle, or as fast as a dam breaks.
+/// Dry grains run out by 1.2 of their height, whatever their friction is. A slender column runs out by 1.9 height^(2/3) width^(1/3) in a channel, and by 1.6 √(height radius) to
+/// all sides. A fluid runs out until it is as thin as a particle, or as fast as a dam breaks.
+///
+/// # Source
+/// Lube, Huppert, Sparks and Freundt, Physical Review E 72 (2005) 041301, and Journal of Fluid Mechanics 508 (2004) 175.
 pub(crate) fn of_body<'a>(
     scene: &Scene,
     body: &Body,
     bounds: &Aabb,
     ends: &Ends,
-    volume: f64,
+    volume: impl Fn() -> f64,
     materials: impl Iterator<Item = &'a PlannedMaterial>,
 ) -> Runout {
     let (world, end) = (&scene.world, scene.time.end);
@@ -60,22 +64,24 @@ pub(crate) fn of_body<'a>(
     let size: [f64; 3] = std::array::from_fn(|d| bounds.max[d] - bounds.min[d]);
     let height = if g > 0.0 { (0..3).map(|d| scene.gravity[d].abs() / g * size[d]).sum() } else { 0.0 };
     let collapsing: Vec<&PlannedMaterial> = materials.filter(|planned| collapses(planned, scene, height)).collect();
-    let free = |d: usize| ends.sides[d] != [false; 2] || ends.below;
-    let along = if collapsing.is_empty() { [false; 2] } else { [free(0), free(1)] };
+    let is_fluid = collapsing.iter().any(|planned| {
+        shear_borne(planned, PRESSED, SHEARS[1]).is_some_and(|[pressure, shear]| shear <= FLUID * pressure)
+    });
+    let is_one_sided = |d: usize| ends.sides[d][0] != ends.sides[d][1];
+    let half = |d: usize| if is_one_sided(d) { size[d] } else { 0.5 * size[d] };
+    let is_upright = (0..2).all(|d| scene.gravity[d].abs() <= scene.gravity[2].abs());
+    let flows = |d: usize| (ends.sides[d] != [false; 2] || ends.below) && (is_fluid || height > LOW * half(d));
+    let along = if collapsing.is_empty() || !is_upright { [false; 2] } else { [flows(0), flows(1)] };
     let flies = body.velocity != [0.0; 3];
     if scene.levels.reach > 0 || !flies && along == [false; 2] {
         return Runout { along, reaches: None };
     }
     let is_open = world.walls.z_min == Wall::Open;
     let drop = if ends.below && !is_open { bounds.min[2] - world.min[2] } else { 0.0 };
-    let is_fluid = collapsing.iter().any(|planned| {
-        shear_borne(planned, PRESSED, SHEARS[1]).is_some_and(|[pressure, shear]| shear <= FLUID * pressure)
-    });
     // What lies as thin as a particle covers this.
-    let area = volume / scene.spacing(body);
+    let area = if is_fluid { volume() / scene.spacing(body) } else { 0.0 };
     let run = |d: usize| {
-        let (across, other) = (size[d], size[1 - d]);
-        let half = if ends.sides[d] == [false, true] || ends.sides[d] == [true, false] { across } else { 0.5 * across };
+        let (across, other, half) = (size[d], size[1 - d], half(d));
         let (tall, round) = (height + FALLEN * drop, along == [true; 2] && other < 2.0 * across);
         let grains = if tall < 1.7 * half {
             1.2 * tall
@@ -108,7 +114,7 @@ pub(crate) fn of_body<'a>(
         let by = |sign: f64| (run(d) + if down * sign > 0.0 { slides } else { 0.0 }).min(MOST * height);
         (reaches.min[d], reaches.max[d]) = (reaches.min[d] - by(-1.0), reaches.max[d] + by(1.0));
     }
-    if ends.below && along != [false; 2] && drop == 0.0 {
+    if ends.below && along != [false; 2] {
         reaches.min[2] = world.min[2];
     }
     Runout { along, reaches: Some(reaches.intersection(&scene.world_box())) }

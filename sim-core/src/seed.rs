@@ -9,7 +9,7 @@ use crate::scene::{Body, Sampling, Scene, Shape, WHOLE_CELL, World, cross};
 use crate::solid::Solid;
 use crate::zoned::{Zoned, Zones};
 use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, runout, settle, solid};
-use std::collections::BTreeSet;
+use std::collections::{BTreeSet, HashMap};
 use std::sync::Arc;
 
 /// Particles that fixed-point offsets can tell from a cell's face, in cells: half of the last place.
@@ -180,15 +180,19 @@ impl Terrain {
         inside as f64 * each(0) * each(1) * each(2)
     }
 
-    /// Pairs of bodies that overlap, with the volume that both fill [m³], from some ten thousand of the lattice points of the first that are in the other. A point
-    /// counts if nearly all of its particle is in both: surfaces that touch, or cross by less than that, do not.
+    /// Pairs of bodies that overlap, with the volume that both fill [m³], from some ten thousand of the lattice points of the first that are in the other. Surfaces that
+    /// touch do not count, nor do those that cross: nearly all of a particle has to be in both.
     pub(crate) fn overlaps(&self) -> Vec<([usize; 2], f64)> {
-        const SAMPLES: u64 = 48;
-        let fills = |body: usize, x: Vec3| self.plots.iter().any(|plot| plot.index == body && plot.solid.contains(x));
-        let bodies = || (0..self.scene.body.len()).filter_map(|body| self.plots.iter().find(|plot| plot.index == body));
+        const SAMPLES: u64 = 32;
+        let of_body = |body: usize| {
+            let plots: Vec<&Plot> = self.plots.iter().filter(|plot| plot.index == body).collect();
+            (!plots.is_empty()).then(|| (body, plots, self.bounds_of(body)))
+        };
+        let bodies: Vec<(usize, Vec<&Plot>, Aabb)> = (0..self.scene.body.len()).filter_map(of_body).collect();
+        let fills = |plots: &[&Plot], x: Vec3| plots.iter().any(|plot| plot.solid.contains(x));
         let mut overlaps = Vec::new();
-        for (n, one) in bodies().enumerate() {
-            let spacing = self.scene.spacing(&self.scene.body[one.index]);
+        for (n, (one, own, bounds)) in bodies.iter().enumerate() {
+            let spacing = self.scene.spacing(&self.scene.body[*one]);
             let ends = |x: Vec3| {
                 (0..6).map(move |n| {
                     let mut end = x;
@@ -196,32 +200,27 @@ impl Terrain {
                     end
                 })
             };
-            for other in bodies().skip(n + 1) {
-                let both = self.bounds_of(one.index).intersection(&self.bounds_of(other.index));
+            for (other, others, other_bounds) in &bodies[n + 1..] {
+                let both = bounds.intersection(other_bounds);
                 if (0..3).any(|d| both.min[d] >= both.max[d]) {
                     continue;
                 }
-                // Every so manieth of the lattice points in the box that the two have in common, along each axis.
+                // The lattice points in the box that the two have in common, along each axis every one or one of several.
                 let sites = |d: usize| {
-                    let axis = &one.axes[d];
+                    let axis = &own[0].axes[d];
                     let (first, end) = (axis.first_from(both.min[d]), axis.first_from(both.max[d]));
                     let stride = end.saturating_sub(first).div_ceil(SAMPLES).max(1);
                     let place = |i: u64| axis.site(i as f64).position;
                     (stride, (first..end).step_by(stride as usize).map(place).collect::<Vec<f64>>())
                 };
                 let [(a, xs), (b, ys), (c, zs)] = [sites(0), sites(1), sites(2)];
-                let places = xs
-                    .iter()
-                    .flat_map(|&x| ys.iter().flat_map(move |&y| [(x, y)]))
-                    .flat_map(|(x, y)| zs.iter().map(move |&z| [x, y, z]));
-                let is_shared = |x: &Vec3| {
-                    fills(other.index, *x)
-                        && fills(one.index, *x)
-                        && ends(*x).all(|end| fills(other.index, end) && fills(one.index, end))
-                };
-                let shared = places.filter(is_shared).count() as u64 * a * b * c;
-                if shared > 0 {
-                    overlaps.push(([one.index, other.index], shared as f64 * spacing.powi(3)));
+                let columns = xs.iter().flat_map(|&x| ys.iter().map(move |&y| (x, y)));
+                let places = columns.flat_map(|(x, y)| zs.iter().map(move |&z| [x, y, z]));
+                let in_both = |x: Vec3| fills(others, x) && fills(own, x);
+                let shared: Vec<Vec3> = places.filter(|x| in_both(*x)).collect();
+                if shared.iter().any(|x| ends(*x).all(in_both)) {
+                    let points = shared.len() as u64 * a * b * c;
+                    overlaps.push(([*one, *other], points as f64 * spacing.powi(3)));
                 }
             }
         }
@@ -255,19 +254,29 @@ impl Terrain {
         &self.reaches
     }
 
+    /// Bodies whose particles stand staggered.
+    pub(crate) fn staggered(&self) -> Vec<usize> {
+        let is_staggered = |body: &usize| {
+            self.plots.iter().any(|plot| plot.index == *body && matches!(plot.places, Places::Stagger(_)))
+        };
+        (0..self.scene.body.len()).filter(is_staggered).collect()
+    }
+
     /// With particles where the bodies' sampling has them, which depends on what holds the bodies.
     fn placed(mut self) -> Self {
         for (index, body) in self.scene.body.iter().enumerate() {
             let (own, bounds) = (|| self.plots.iter().filter(|plot| plot.index == index), self.bounds_of(index));
-            let volume = own().map(|plot| self.about_how_many_of(plot)).sum::<f64>() * self.scene.spacing(body).powi(3);
+            let spacing = self.scene.spacing(body);
+            let volume = || own().map(|plot| self.about_how_many_of(plot)).sum::<f64>() * spacing.powi(3);
             let materials = own().map(|plot| &self.materials[plot.material]);
             let runout = runout::of_body(&self.scene, body, &bounds, &self.ends(index, &bounds), volume, materials);
             self.reaches.extend(runout.reaches);
             let places = match body.sampling {
                 Sampling::Lattice => Places::Lattice,
-                Sampling::Stagger => Places::Stagger([true; 2]),
+                Sampling::Stagger => Places::Stagger([true, self.scene.world.plane_strain.is_none()]),
                 Sampling::Jitter => Places::Jitter,
-                Sampling::Auto if runout.along == [false; 2] => Places::Lattice,
+                // Ground that comes and goes is compared with its lattice.
+                Sampling::Auto if self.scene.levels.reach > 0 || runout.along == [false; 2] => Places::Lattice,
                 Sampling::Auto => Places::Stagger(runout.along),
             };
             self.plots.iter_mut().filter(|plot| plot.index == index).for_each(|plot| plot.places = places);
@@ -280,22 +289,28 @@ impl Terrain {
         let (scene, body) = (&self.scene, &self.scene.body[index]);
         let (near, world) = (0.5 * scene.spacing(body), scene.world_box());
         let middle: Vec3 = std::array::from_fn(|d| 0.5 * (bounds.min[d] + bounds.max[d]));
+        let fills =
+            |own: bool, x: Vec3| self.plots.iter().any(|plot| (plot.index == index) == own && plot.solid.contains(x));
         let is_free = |d: usize, side: usize| {
-            let (end, gap) = match side {
-                0 => (bounds.min[d] - near, bounds.min[d] - world.min[d]),
-                _ => (bounds.max[d] + near, world.max[d] - bounds.max[d]),
+            let (sign, end, gap) = match side {
+                0 => (-1.0, bounds.min[d], bounds.min[d] - world.min[d]),
+                _ => (1.0, bounds.max[d], world.max[d] - bounds.max[d]),
             };
-            let mut beyond = middle;
-            beyond[d] = end;
-            let others = self.plots.iter().filter(|plot| plot.index != index);
-            (gap > 0.5 * scene.world.cell || !body.shape.is_layer() && d < 2)
-                && !others.into_iter().any(|plot| plot.solid.contains(beyond))
+            let beside = |by: f64| {
+                let mut x = middle;
+                x[d] = end + sign * by * near;
+                x
+            };
+            // At the world's end a body is held where it is as high as in its middle: a union may have a tower.
+            let is_held =
+                gap <= 0.5 * scene.world.cell && (d == 2 || body.shape.is_layer() || fills(true, beside(-1.0)));
+            !is_held && !fills(false, beside(1.0)) && (d != 1 || scene.world.plane_strain.is_none())
         };
         runout::Ends { sides: [0, 1].map(|d| [0, 1].map(|side| is_free(d, side))), below: is_free(2, 0) }
     }
 
-    /// Upper end of all bodies at a point    /// Upper end of all bodies at a point of the ground plan, as their shapes have it [m]; none where there is none, nor of bodies that are no
-    /// [layers](Shape::is_layer).
+    /// Height of the highest body at a point of the ground plan, as the shapes have it [m]. None where there is none; bodies that are no
+    /// [layers](Shape::is_layer) do not count.
     pub fn height(&self, [x, y]: [f64; 2]) -> Option<f64> {
         let tops = self.plots.iter().flat_map(|plot| plot.solid.columns(x, y)).map(|[_, top]| top);
         tops.reduce(f64::max)
@@ -310,7 +325,9 @@ impl Terrain {
             Places::Stagger(along) => {
                 let counts = plot.axes.each_ref().map(|axis| axis.count >> class);
                 let by = stagger((self.scene.seed, plot.index as u64), along, origin.map(|i| i >> class), counts);
-                [0.5 + by[0], 0.5 + by[1], 0.5]
+                // What stands nearer to its body's face is moved less.
+                let room = |d: usize| 2.0 * plot.axes[d].room;
+                [0.5 + room(0) * by[0], 0.5 + room(1) * by[1], 0.5]
             }
             Places::Jitter => {
                 let number = (origin[0] * plot.axes[1].count + origin[1]) * plot.axes[2].count + origin[2];
@@ -325,12 +342,21 @@ impl Terrain {
     /// Weight of all settled ground above each of some points, per area [Pa].
     fn loads(&self, points: impl Iterator<Item = Vec3>) -> Vec<f64> {
         let settled: Vec<&Plot> = self.plots.iter().filter(|plot| self.scene.body[plot.index].settled).collect();
-        // Points come column by column.
+        // Points of a row or column come one after the other; what is tried particle by particle is kept, column by column of its lattice.
         let (mut at, mut pieces) = ([f64::NAN; 2], Vec::new());
+        let mut columns: HashMap<(usize, [u64; 2]), Vec<[f64; 2]>> = HashMap::new();
+        let mut pieces_of = |number: usize, plot: &Plot, at: [f64; 2]| {
+            if self.scene.body[plot.index].shape.is_layer() {
+                return self.pieces(plot, at);
+            }
+            let [Some(i), Some(j)] = [0, 1].map(|d| plot.axes[d].nearest(at[d])) else { return Vec::new() };
+            let middle = [plot.axes[0].site(i as f64).position, plot.axes[1].site(j as f64).position];
+            columns.entry((number, [i, j])).or_insert_with(|| self.pieces(plot, middle)).clone()
+        };
         let load = |x: Vec3| {
             if at != [x[0], x[1]] {
                 at = [x[0], x[1]];
-                pieces = settled.iter().map(|plot| (*plot, self.pieces(plot, at))).collect();
+                pieces = settled.iter().enumerate().map(|(n, plot)| (*plot, pieces_of(n, plot, at))).collect();
             }
             let above = |[bottom, top]: &[f64; 2]| (top - x[2].max(*bottom)).max(0.0);
             let weight = |(plot, pieces): &(&Plot, Vec<[f64; 2]>)| {
@@ -474,11 +500,13 @@ impl Seeder<'_> {
         let mut row = Row::default();
         list.cell.reserve(points as usize);
         list.offset.reserve(points as usize);
-        for i in 0..axes[0].count {
-            for j in 0..axes[1].count {
+        let sites = axes.each_ref().map(Axis::sites);
+        for (i, x) in (0..).zip(&sites[0]) {
+            for (j, y) in (0..).zip(&sites[1]) {
                 row.clear();
-                for k in 0..axes[2].count {
-                    let site = self.terrain.cube_site(plot, [i, j, k], 0);
+                for (k, z) in (0..).zip(&sites[2]) {
+                    let is_moved = plot.places != Places::Lattice;
+                    let site = if is_moved { self.terrain.cube_site(plot, [i, j, k], 0) } else { [*x, *y, *z] };
                     let position = site.map(|s| s.position);
                     if plot.solid.contains(position) {
                         row.push(site, position);
@@ -779,6 +807,8 @@ struct Axis {
     /// First point and distance, in cells from `base`.
     first: f64,
     step: f64,
+    /// Steps from the first point to the face of what is filled, half a step at most.
+    room: f64,
 }
 
 impl Axis {
@@ -793,12 +823,21 @@ impl Axis {
         let base = if on_face { corner.round() } else { corner.floor() };
         let step = spacing / width;
         let first = if on_face { 0.0 } else { corner - base } + (gap + 0.5) * step;
-        Self { extent, count: count.max(0.0) as u64, base: base as i32, width, first, step }
+        let room = 0.5 + gap.min(0.0);
+        Self { extent, count: count.max(0.0) as u64, base: base as i32, width, first, step, room }
+    }
+    /// How many steps from the first point `x` [m] lies.
+    fn steps_to(&self, x: f64) -> f64 {
+        (x / self.width - f64::from(self.base) - self.first) / self.step
+    }
+    /// Number of the point nearest to `x` [m]; none if it is further off than points are from one another, by half.
+    fn nearest(&self, x: f64) -> Option<u64> {
+        let steps = self.steps_to(x).round();
+        (steps >= 0.0 && steps < self.count as f64).then_some(steps as u64)
     }
     /// Number of the first point that lies at `x` [m] or beyond.
     fn first_from(&self, x: f64) -> u64 {
-        let steps = (x / self.width - f64::from(self.base) - self.first) / self.step;
-        steps.ceil().clamp(0.0, self.count as f64) as u64
+        self.steps_to(x).ceil().clamp(0.0, self.count as f64) as u64
     }
     /// The point `number` steps from the first.
     fn site(&self, number: f64) -> Site {
@@ -849,7 +888,7 @@ pub(crate) fn on_level(x: f64, h: f64, level: usize, precision: Precision) -> (i
 ///
 /// Rows along one of the axes are moved at random, each in itself, and layers along the other one. A node's mass stays what it is: its spline summed over a row of points half a
 /// cell apart does not depend on where the row begins, nor does the sum over a layer's rows. Rows and layers go in pairs, one of which is moved as far as the other is moved
-/// back: the centre of mass stays, too.
+/// back: a box keeps its centre of mass.
 pub(crate) fn stagger((seed, body): (u64, u64), along: [bool; 2], at: [u64; 3], counts: [u64; 3]) -> [f64; 2] {
     let paired = |place: u64, count: u64, number: &dyn Fn(u64) -> u64, axis: u64| {
         // Of an odd number the first one stays.

@@ -235,15 +235,16 @@ impl Simulation {
     pub fn untouched_heights(&self, points: &[[f64; 2]], margin: f64) -> Vec<Option<f64>> {
         let Some(terrain) = &self.plan().terrain else { return vec![None; points.len()] };
         let (world, inner) = (&self.plan().scene.world, 0.5 * self.plan().scene.world.cell);
+        let corners = if margin > 0.0 { 4 } else { 1 };
         let corner = |n: usize, point: &[f64; 2]| {
             let place = |d: usize| point[d] + if n >> d & 1 == 0 { -margin } else { margin };
-            [0, 1].map(|d| place(d).clamp(world.min[d] + inner, world.max[d] - inner))
+            [0, 1].map(|d| place(d).min(world.max[d] - inner).max(world.min[d] + inner))
         };
-        let all: Vec<[f64; 2]> = points.iter().flat_map(|point| (0..4).map(|n| corner(n, point))).collect();
+        let all: Vec<[f64; 2]> = points.iter().flat_map(|point| (0..corners).map(|n| corner(n, point))).collect();
         let untouched = self.engine().untouched(&all);
         let height =
             |(point, near): (&[f64; 2], &[bool])| if near.contains(&true) { terrain.height(*point) } else { None };
-        points.iter().zip(untouched.chunks(4)).map(height).collect()
+        points.iter().zip(untouched.chunks(corners)).map(height).collect()
     }
 
     /// Heights of what particles are at points [m], completed: by ground out of reach, and by the world's floor where there is no ground.

@@ -87,7 +87,11 @@ pub fn of_shape(shape: &Shape, scene: &Scene, registry: &Registry, path: &str) -
             let reader = registry.mesh_reader().ok_or_else(|| {
                 scene.fault(path, "nothing registered reads meshes", "register a crate that does, or use another shape")
             })?;
-            Box::new(Posed { solid: reader(&scene.folder.join(file), *scale)?, position: *center, rotation: *rotation })
+            let solid = reader(&scene.folder.join(file), *scale).map_err(|error| match error {
+                Error::Body { what, mend, .. } => scene.fault(&format!("{path}.mesh"), what, mend),
+                other => other,
+            })?;
+            Box::new(Posed { solid, position: *center, rotation: *rotation })
         }
         (Shape::Union(parts), _) => Box::new(Combined::new(How::Union, parts, scene, registry, path)?),
         (Shape::Difference(parts), _) => Box::new(Combined::new(How::Difference, parts, scene, registry, path)?),

@@ -383,7 +383,7 @@ fn a_body_that_ends_within_a_cell_of_a_wall_is_warned_of() {
 
 /// Where bodies overlap, matter would be there twice. Bodies that touch, or stand in a hole of one another, do not.
 #[test]
-fn bodies_that_overlap_are_told() {
+fn bodies_that_overlap_are_warned_of() {
     let warned = |other: &str| {
         let bed = "shape = { box = { min = [-0.5, -0.5, 0.0], max = [0.5, 0.5, 0.2] } }";
         let scene = scene(&format!("{bed}\n[[body]]\nmaterial = 'm'\nshape = {other}"));

@@ -690,12 +690,15 @@ fn plans_plugins_and_the_schema_are_printed() {
 }
 
 #[test]
-fn the_scene_in_the_readme_runs() {
+fn the_scenes_in_the_readme_run() {
     let folder = tempfile::tempdir().unwrap();
     let readme = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("../../README.md")).unwrap();
-    let scene = readme.split("```toml\n").nth(1).and_then(|rest| rest.split("```").next()).expect("a TOML block");
-    fs::write(folder.path().join("press.toml"), scene).unwrap();
-    succeed(folder.path(), &["run", "press.toml", "--steps", "20", "--quiet"]);
+    let scenes: Vec<&str> = readme.split("```toml\n").skip(1).filter_map(|rest| rest.split("```").next()).collect();
+    assert_eq!(scenes.len(), 2, "{scenes:?}");
+    for (scene, file) in scenes.into_iter().zip(["press.toml", "dog.toml"]) {
+        fs::write(folder.path().join(file), scene).unwrap();
+        succeed(folder.path(), &["run", file, "--steps", "20", "--quiet"]);
+    }
 }
 
 /// Commands of the command line.

@@ -73,8 +73,8 @@ const STRIP: usize = 38;
 const LEAST_WIDTH: usize = 540;
 const TEXT: f32 = 8.75;
 
-/// Most particle spacings that the surface seen from above is wide.
-const MOST_NODES: f32 = 2000.0;
+/// Particle spacings that the surface seen from above may be wide, if that is more than the picture's pixels.
+const MOST_SPACINGS: f32 = 2000.0;
 /// Share of a picture's width that the cut below a view in perspective may be high.
 const CUT_SHARE: f64 = 0.3;
 
@@ -319,8 +319,10 @@ impl View {
     fn surface(&self, dots: &[Dot]) -> Surface {
         let far = [(self.max[0] - self.min[0]) as f32, (self.max[1] - self.min[1]) as f32];
         // What no pixel shows takes no memory.
-        let spacing = (self.spacing as f32).max(far[0].max(far[1]) / MOST_NODES);
-        Surface::new(dots, spacing, [0.0; 2], far, self.min[2] as f32)
+        let spacing = (self.spacing as f32).max(far[0].max(far[1]) / MOST_SPACINGS.max(self.width() as f32));
+        // Finer particles would leave gaps between its nodes.
+        let dots: Vec<Dot> = dots.par_iter().map(|dot| Dot { side: dot.side.max(spacing), ..*dot }).collect();
+        Surface::new(&dots, spacing, [0.0; 2], far, self.min[2] as f32)
     }
 
     fn frame_above(&self) -> Frame {
@@ -539,13 +541,9 @@ fn unit(value: f64, base: &str) -> (f64, String) {
     (factor, format!("{prefix}{base}"))
 }
 
-/// Decimals that multiples of an interval [s] take, 6 at most.
+/// Decimals that tell pictures an interval [s] apart from one another.
 fn decimals(interval: f64) -> usize {
-    let is_whole = |decimals: &usize| {
-        let last = interval * 10f64.powi(*decimals as i32);
-        (last - last.round()).abs() < 1e-6 * last
-    };
-    (0..6).find(is_whole).unwrap_or(6)
+    (2..6).find(|decimals| 2.0 * 0.1f64.powi(*decimals) < interval).unwrap_or(6) as usize
 }
 
 /// Places where a tool's origin comes by until `end` [m].

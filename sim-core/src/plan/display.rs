@@ -26,7 +26,10 @@ impl fmt::Display for Plan {
                 widths.join(", ")
             )?;
         }
-        writeln!(f, "particles {}", self.particle_count)?;
+        let staggered = self.staggered.iter().map(|&body| plain(&self.scene.name_of_body(body)));
+        let staggered = staggered.collect::<Vec<_>>().join(", ");
+        let note = if staggered.is_empty() { String::new() } else { format!("; staggered in {staggered}") };
+        writeln!(f, "particles {}{note}", self.particle_count)?;
         let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
         writeln!(
             f,

@@ -198,6 +198,12 @@ impl Scene {
         Ok(())
     }
 
+    /// What messages call a soft body: by its name, or by its number if it has none.
+    pub(crate) fn name_of_body(&self, i: usize) -> String {
+        let name = &self.body[i].name;
+        if name.is_empty() { format!("body[{i}]") } else { format!("body '{name}'") }
+    }
+
     /// Warnings about a scene that can be run.
     pub fn warnings(&self) -> Vec<String> {
         let mut warnings = Vec::new();
@@ -205,7 +211,7 @@ impl Scene {
             warnings.extend(self.nearly_at_walls(i, body));
             let cells = self.spacing(body) / self.world.cell;
             if !(0.33..=0.67).contains(&cells) {
-                let name = if body.name.is_empty() { format!("body[{i}]") } else { format!("body '{}'", body.name) };
+                let name = self.name_of_body(i);
                 warnings.push(format!(
                     "{name}: spacing is {cells:.2} cells, {:.1} particles a cell; outside 0.33 to 0.67 it costs more than it gains, or gaps open under stretch",
                     cells.powi(-3)
@@ -221,8 +227,8 @@ impl Scene {
                     .product::<f64>();
                 if (share - 1.0).abs() > 0.01 {
                     warnings.push(format!(
-                        "body '{}': its sides are no whole numbers of spacings, so its particles hold {:+.1} % of its volume",
-                        body.name,
+                        "{}: its sides are no whole numbers of spacings, so its particles hold {:+.1} % of its volume",
+                        self.name_of_body(i),
                         100.0 * (share - 1.0)
                     ));
                 }

@@ -178,6 +178,7 @@ impl Scene {
         let stands_out = !self.robot.is_empty()
             || !self.tool.is_empty()
             || picture.camera.is_some()
+            || !self.inflow.is_empty()
             || self.body.iter().any(|body| !self.is_bed(body));
         picture.view.unwrap_or(if stands_out { PictureView::Perspective } else { PictureView::Top })
     }
