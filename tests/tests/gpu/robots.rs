@@ -533,6 +533,7 @@ shape = {{ mesh = {{ file = "cube.obj", center = [24, 8, 10.4] }} }}
 velocity = [-3.2, -3, -0.5]
 [[body]]
 material = "liquid"
+sampling = "lattice"
 shape = {{ mesh = {{ file = "tetra.obj", center = [20.84, 8, 9.56], scale = 1.3 }} }}
 [[robot]]
 name = "arm"

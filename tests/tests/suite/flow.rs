@@ -81,7 +81,9 @@ fn a_rate_a_limit_and_an_end_are_held_to_the_particle() {
     };
     let rate = 2.9;
     let due = (21.0 * period * rate / mass) as u64;
-    assert_eq!(came("mass_rate = 2.9\nsampling = \"jitter\"\n", 0.205), due);
+    for sampling in ["auto", "lattice", "stagger", "jitter"] {
+        assert_eq!(came(&format!("mass_rate = 2.9\nsampling = \"{sampling}\"\n"), 0.205), due, "{sampling}");
+    }
     assert_eq!(came(&format!("volume_rate = {}\n", rate / 1600.0), 0.205), due);
     assert_eq!(came("limit = 0.5\n", 0.205), (0.5 / mass) as u64);
     assert_eq!(came("from = 0.05\nuntil = 0.1\n", 0.205), 5 * each, "layers at 0.05, 0.06, … 0.09 s");
