@@ -204,14 +204,14 @@ impl Mouth {
     /// Where a particle comes in, `late` seconds after its layer was due.
     fn newcomer(&self, seed: u64, (layer, site): (u64, usize), late: f64, gravity: Vec3) -> Newcomer {
         let mut position = self.sites[site];
-        let row = || [layer * self.sites.len() as u64 + self.rows[site], layer];
         let part = |number: u64, axis: u64| uniform(seed, ROWS + u64::from(self.body), number, axis);
         let within = match self.sampling {
             Sampling::Auto | Sampling::Lattice => [0.5; 3],
             // Rows and whole layers, as far as they stay in the mouth.
             Sampling::Stagger => {
-                let [row, layer] = [part(row()[0], 0), part(row()[1], 1)];
-                [0.5 + self.room[0] * (2.0 * row - 1.0), 0.5 + self.room[1] * (2.0 * layer - 1.0), 0.5]
+                let row = layer * self.sites.len() as u64 + self.rows[site];
+                let [of_row, of_layer] = [part(row, 0), part(layer, 1)].map(|part| 2.0 * part - 1.0);
+                [0.5 + self.room[0] * of_row, 0.5 + self.room[1] * of_layer, 0.5]
             }
             Sampling::Jitter => [0, 1, 3].map(|number| self.random(seed, layer, site, number)),
         };

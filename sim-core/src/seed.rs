@@ -889,7 +889,7 @@ pub(crate) fn on_level(x: f64, h: f64, level: usize, precision: Precision) -> (i
 /// Rows along one of the axes are moved at random, each in itself, and layers along the other one. A node's mass stays what it is: its spline summed over a row of points half a
 /// cell apart does not depend on where the row begins, nor does the sum over a layer's rows. Rows and layers go in pairs, one of which is moved as far as the other is moved
 /// back: a box keeps its centre of mass.
-pub(crate) fn stagger((seed, body): (u64, u64), along: [bool; 2], at: [u64; 3], counts: [u64; 3]) -> [f64; 2] {
+fn stagger((seed, body): (u64, u64), along: [bool; 2], at: [u64; 3], counts: [u64; 3]) -> [f64; 2] {
     let paired = |place: u64, count: u64, number: &dyn Fn(u64) -> u64, axis: u64| {
         // Of an odd number the first one stays.
         place.checked_sub(count % 2).map_or(0.0, |place| {
