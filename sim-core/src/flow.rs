@@ -71,6 +71,7 @@ struct Mouth {
     /// Lattice points of a layer [m], and the directions from one to the next, in the layer and along the stream.
     sites: Vec<Vec3>,
     axes: [Vec3; 3],
+    in_slice: bool,
     /// Spacings from the outermost points to the ends of the mouth along these, half of one at most.
     room: [f64; 2],
     /// The row along the first direction in which each of the points lies.
@@ -150,6 +151,7 @@ impl Mouth {
         Ok(Self {
             material,
             body: (scene.body.len() + i) as u16,
+            in_slice: scene.world.plane_strain.is_some(),
             room: [axes[0], axes[1]].map(|axis| room(&*solid, axis, spacing)),
             rows: rows(&sites, axes[1], spacing),
             sites,
@@ -207,7 +209,11 @@ impl Mouth {
         let part = |number: u64, axis: u64| uniform(seed, ROWS + u64::from(self.body), number, axis);
         let within = match self.sampling {
             Sampling::Auto | Sampling::Lattice => [0.5; 3],
-            // Rows and whole layers, as far as they stay in the mouth.
+            // Rows and whole layers, as far as they stay in the mouth. In plane strain nothing varies along y.
+            Sampling::Stagger if self.in_slice => {
+                let across = |n: usize| if self.axes[n][1] == 0.0 { 2.0 * part(layer, n as u64) - 1.0 } else { 0.0 };
+                [0.5 + self.room[0] * across(0), 0.5 + self.room[1] * across(1), 0.5]
+            }
             Sampling::Stagger => {
                 let row = layer * self.sites.len() as u64 + self.rows[site];
                 let [of_row, of_layer] = [part(row, 0), part(layer, 1)].map(|part| 2.0 * part - 1.0);

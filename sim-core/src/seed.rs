@@ -324,7 +324,8 @@ impl Terrain {
             Places::Lattice => [0.5; 3],
             Places::Stagger(along) => {
                 let counts = plot.axes.each_ref().map(|axis| axis.count >> class);
-                let by = stagger((self.scene.seed, plot.index as u64), along, origin.map(|i| i >> class), counts);
+                let (seeds, in_slice) = ((self.scene.seed, plot.index as u64), self.scene.world.plane_strain.is_some());
+                let by = stagger(seeds, along, in_slice, origin.map(|i| i >> class), counts);
                 // What stands nearer to its body's face is moved less.
                 let room = |d: usize| 2.0 * plot.axes[d].room;
                 [0.5 + room(0) * by[0], 0.5 + room(1) * by[1], 0.5]
@@ -889,7 +890,7 @@ pub(crate) fn on_level(x: f64, h: f64, level: usize, precision: Precision) -> (i
 /// Rows along one of the axes are moved at random, each in itself, and layers along the other one. A node's mass stays what it is: its spline summed over a row of points half a
 /// cell apart does not depend on where the row begins, nor does the sum over a layer's rows. Rows and layers go in pairs, one of which is moved as far as the other is moved
 /// back: a box keeps its centre of mass.
-fn stagger((seed, body): (u64, u64), along: [bool; 2], at: [u64; 3], counts: [u64; 3]) -> [f64; 2] {
+fn stagger((seed, body): (u64, u64), along: [bool; 2], in_slice: bool, at: [u64; 3], counts: [u64; 3]) -> [f64; 2] {
     let paired = |place: u64, count: u64, number: &dyn Fn(u64) -> u64, axis: u64| {
         // Of an odd number the first one stays.
         place.checked_sub(count % 2).map_or(0.0, |place| {
@@ -897,13 +898,20 @@ fn stagger((seed, body): (u64, u64), along: [bool; 2], at: [u64; 3], counts: [u6
             if place.is_multiple_of(2) { by } else { -by }
         })
     };
-    let (inner, [.., layer], [.., layers]) = (usize::from(!along[0]), at, counts);
-    let mut by = [0.0; 2];
-    by[inner] = paired(at[1 - inner], counts[1 - inner], &|pair| layer * counts[1 - inner] + pair, 0);
-    if along == [true; 2] {
-        by[1] = paired(layer, layers, &|pair| pair, 1);
+    let of_layer = |axis: u64| paired(at[2], counts[2], &|pair| pair, axis);
+    // In plane strain nothing varies along y: rows of a layer are moved alike.
+    let of_row = |across: usize| {
+        if in_slice {
+            return of_layer(0);
+        }
+        paired(at[across], counts[across], &|pair| at[2] * counts[across] + pair, 0)
+    };
+    match along {
+        [true, true] => [of_row(1), of_layer(1)],
+        [true, false] => [of_row(1), 0.0],
+        [false, true] => [0.0, of_row(0)],
+        [false, false] => [0.0; 2],
     }
-    by
 }
 
 /// A number in [0, 1) that depends on its arguments alone: SplitMix64 over their mix.
