@@ -251,7 +251,8 @@ impl Simulation {
     pub(crate) fn completed(&self, points: &[[f64; 2]], heights: Vec<Option<f64>>) -> Vec<Option<f64>> {
         let world = &self.plan().scene.world;
         let floor = (world.walls.z_min != Wall::Open).then_some(world.min[2]);
-        let untouched = self.untouched_heights(points, 0.0);
+        // Beside the edge, particles on one side alone fill half of space at most. Ground there is held at rest.
+        let untouched = self.untouched_heights(points, 0.5 * self.widest());
         heights.into_iter().zip(untouched).map(|(height, untouched)| untouched.or(height).or(floor)).collect()
     }
 

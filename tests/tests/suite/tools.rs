@@ -95,7 +95,7 @@ fn a_thin_plate_that_nothing_follows_is_met_by_coarse_cells() {
     let text = head.with(&[
         "[levels]\ncount = 4\n".to_owned(),
         material("liquid", 8000.0, ""),
-        "[[source]]\nmaterial = \"liquid\"\nvelocity = [0.0243, 0, 0]\nshape = { sphere = { center = [0.2408, 0.42, 0.3677], radius = 0.05 } }\n".to_owned(),
+        "[[source]]\nmaterial = \"liquid\"\nvelocity = [0.0243, 0, 0]\nsampling = \"lattice\"\nshape = { sphere = { center = [0.2408, 0.42, 0.3677], radius = 0.05 } }\n".to_owned(),
         tool("plate", [0.4384, 0.5035, 0.5015], plate, FRICTION, "\"fixed\""),
     ]);
     for options in everywhere() {
