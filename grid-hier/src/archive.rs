@@ -58,10 +58,10 @@ impl Reach {
         self.archive.values().flat_map(Tile::unpack)
     }
 
-    /// Whether a point [m] is out of reach and nothing has changed the ground there, where the coarsest cells have that width [m].
-    pub fn is_untouched(&self, point: [f64; 2], cell: f64) -> bool {
-        let tile = tile_at(point, cell);
-        !self.live.contains(&tile) && !self.archive.contains_key(&tile)
+    /// Which points [m] are out of reach where nothing has changed the ground, where the coarsest cells have that width [m].
+    pub fn untouched(&self, points: &[[f64; 2]], cell: f64) -> Vec<bool> {
+        let is_untouched = |tile: [i32; 2]| !self.live.contains(&tile) && !self.archive.contains_key(&tile);
+        points.iter().map(|point| is_untouched(tile_at(*point, cell))).collect()
     }
 
     /// Whether ground in the archive may lie at a point [m], where the coarsest cells have that width [m].

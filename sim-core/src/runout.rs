@@ -55,8 +55,8 @@ pub(crate) fn of_body<'a>(
     scene: &Scene,
     body: &Body,
     bounds: &Aabb,
-    ends: &Ends,
-    volume: impl Fn() -> f64,
+    ends: impl FnOnce() -> Ends,
+    volume: impl FnOnce() -> f64,
     materials: impl Iterator<Item = &'a PlannedMaterial>,
 ) -> Runout {
     let (world, end) = (&scene.world, scene.time.end);
@@ -64,6 +64,11 @@ pub(crate) fn of_body<'a>(
     let size: [f64; 3] = std::array::from_fn(|d| bounds.max[d] - bounds.min[d]);
     let height = if g > 0.0 { (0..3).map(|d| scene.gravity[d].abs() / g * size[d]).sum() } else { 0.0 };
     let collapsing: Vec<&PlannedMaterial> = materials.filter(|planned| collapses(planned, scene, height)).collect();
+    let flies = body.velocity != [0.0; 3];
+    if collapsing.is_empty() && !flies {
+        return Runout::default();
+    }
+    let ends = ends();
     let is_fluid = collapsing.iter().any(|planned| {
         shear_borne(planned, PRESSED, SHEARS[1]).is_some_and(|[pressure, shear]| shear <= FLUID * pressure)
     });
@@ -72,7 +77,6 @@ pub(crate) fn of_body<'a>(
     let is_upright = (0..2).all(|d| scene.gravity[d].abs() <= scene.gravity[2].abs());
     let flows = |d: usize| (ends.sides[d] != [false; 2] || ends.below) && (is_fluid || height > LOW * half(d));
     let along = if collapsing.is_empty() || !is_upright { [false; 2] } else { [flows(0), flows(1)] };
-    let flies = body.velocity != [0.0; 3];
     if scene.levels.reach > 0 || !flies && along == [false; 2] {
         return Runout { along, reaches: None };
     }

@@ -267,7 +267,7 @@ impl Terrain {
             let spacing = self.scene.spacing(body);
             let volume = || own().map(|plot| self.about_how_many_of(plot)).sum::<f64>() * spacing.powi(3);
             let materials = own().map(|plot| &self.materials[plot.material]);
-            let runout = runout::of_body(&self.scene, body, &bounds, &self.ends(index, &bounds), volume, materials);
+            let runout = runout::of_body(&self.scene, body, &bounds, || self.ends(index, &bounds), volume, materials);
             self.reaches.extend(runout.reaches);
             let places = match body.sampling {
                 Sampling::Lattice => Places::Lattice,
@@ -499,12 +499,11 @@ impl Seeder<'_> {
         let mut row = Row::default();
         list.cell.reserve(points as usize);
         list.offset.reserve(points as usize);
-        let sites = axes.each_ref().map(Axis::sites);
+        let (is_moved, sites) = (plot.places != Places::Lattice, axes.each_ref().map(Axis::sites));
         for (i, x) in (0..).zip(&sites[0]) {
             for (j, y) in (0..).zip(&sites[1]) {
                 row.clear();
                 for (k, z) in (0..).zip(&sites[2]) {
-                    let is_moved = plot.places != Places::Lattice;
                     let site = if is_moved { self.terrain.cube_site(plot, [i, j, k], 0) } else { [*x, *y, *z] };
                     let position = site.map(|s| s.position);
                     if plot.solid.contains(position) {

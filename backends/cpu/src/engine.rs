@@ -499,10 +499,10 @@ impl<T: Scalar> Engine for CpuEngine<T> {
     }
 
     fn untouched(&self, points: &[[f64; 2]]) -> Vec<bool> {
-        let coarsest = self.levels.last().map_or(f64::NAN, |level| level.store.cell_width);
-        let is_untouched =
-            |point: &[f64; 2]| self.reach.as_ref().is_some_and(|reach| reach.is_untouched(*point, coarsest));
-        points.iter().map(is_untouched).collect()
+        match (&self.reach, self.levels.last()) {
+            (Some(reach), Some(coarsest)) => reach.untouched(points, coarsest.store.cell_width),
+            _ => vec![false; points.len()],
+        }
     }
 
     fn crossed(&self) -> Result<Vec<Crossed>> {

@@ -220,10 +220,10 @@ impl Engine for WorldEngine {
     fn untouched(&self, points: &[[f64; 2]]) -> Vec<bool> {
         let batch = self.shared.batch();
         let world = &batch.worlds[self.world];
-        let coarsest = world.levels.last().map_or(f64::NAN, |level| level.h);
-        let is_untouched =
-            |point: &[f64; 2]| world.reach.as_ref().is_some_and(|reach| reach.is_untouched(*point, coarsest));
-        points.iter().map(is_untouched).collect()
+        match (&world.reach, world.levels.last()) {
+            (Some(reach), Some(coarsest)) => reach.untouched(points, coarsest.h),
+            _ => vec![false; points.len()],
+        }
     }
 
     fn apart(&self, points: &[Vec3], filter: Filter) -> Result<Option<Apart>> {

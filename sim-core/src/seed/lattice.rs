@@ -14,10 +14,10 @@ pub(super) struct Axis {
     pub(super) extent: f64,
     pub(super) count: u64,
     /// The cell that coordinates are relative to, and its width [m].
-    pub(super) base: i32,
+    base: i32,
     pub(super) width: f64,
     /// First point and distance, in cells from `base`.
-    pub(super) first: f64,
+    first: f64,
     pub(super) step: f64,
     /// Steps from the first point to the face of what is filled, half a step at most.
     pub(super) room: f64,
@@ -39,7 +39,7 @@ impl Axis {
         Self { extent, count: count.max(0.0) as u64, base: base as i32, width, first, step, room }
     }
     /// How many steps from the first point `x` [m] lies.
-    pub(super) fn steps_to(&self, x: f64) -> f64 {
+    fn steps_to(&self, x: f64) -> f64 {
         (x / self.width - f64::from(self.base) - self.first) / self.step
     }
     /// Number of the point nearest to `x` [m]; none if it is further off than points are from one another, by half.

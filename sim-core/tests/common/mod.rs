@@ -53,18 +53,21 @@ unsafe extern "C" fn update(_: *const BarchanBatchF32, _: *mut BarchanError) -> 
     BARCHAN_OK
 }
 
-/// A stress that grows with strain, up to the strength.
+/// A pressure that grows with compression, and a shear stress that grows with shear, up to the strength and what friction adds.
 unsafe extern "C" fn update64(batch: *const BarchanBatchF64, _: *mut BarchanError) -> BarchanStatus {
     // SAFETY: the host's batch has `stride` floats a plane and four parameters, as the ABI promises.
     unsafe {
         let b = &*batch;
-        let (modulus, strength) = (*b.params, *b.params.add(3));
-        for plane in 0..6 {
-            for i in 0..b.n {
+        let (modulus, friction, strength) = (*b.params, (*b.params.add(2)).tan(), *b.params.add(3));
+        for i in 0..b.n {
+            let [xx, yy, zz, xy, xz, yz] = std::array::from_fn(|plane| *b.strain_trial.add(plane * b.stride + i));
+            let square = xx * (yy * zz - yz * yz) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz);
+            let pressure = 0.5 * modulus * (1.0 - square);
+            let most = strength + friction * pressure.max(0.0);
+            for (plane, strain) in [xx, yy, zz, xy, xz, yz].into_iter().enumerate() {
                 let at = plane * b.stride + i;
-                let strain = *b.strain_trial.add(at);
                 *b.strain.add(at) = strain;
-                *b.kirchhoff.add(at) = (modulus * (strain - f64::from(plane < 3))).clamp(-strength, strength);
+                *b.kirchhoff.add(at) = if plane < 3 { -pressure } else { (modulus * strain).clamp(-most, most) };
             }
         }
     }

@@ -180,9 +180,11 @@ fn ground_out_of_reach_is_as_high_as_its_shape() {
         let (mut far, mut near, mut away) = (0f64, 0f64, 0);
         for ((point, height), untouched) in points.iter().zip(heights).zip(untouched) {
             let off = (height.unwrap() - shape.at(point[0], point[1])).abs();
-            away += usize::from(untouched.is_some());
-            *if untouched.is_some() { &mut far } else { &mut near } =
-                off.max(if untouched.is_some() { far } else { near });
+            if untouched.is_some() {
+                (far, away) = (off.max(far), away + 1);
+            } else {
+                near = off.max(near);
+            }
         }
         assert!(
             away > 850 && away < points.len() - 20,
