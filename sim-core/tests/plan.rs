@@ -227,6 +227,39 @@ fn hard_materials_warn() {
     assert!(!warned("material[0].parameters.friction_angle_deg=42.1", "plane strain"));
 }
 
+/// What can measure or do nothing is told, and what can is not.
+#[test]
+fn what_does_nothing_warns() {
+    let warned = |settings: &[&str], text: &str| {
+        let warnings = with(settings).unwrap().warnings;
+        warnings.iter().filter(|w| w.contains(text)).count()
+    };
+    let beyond = [
+        "{ name = 'p', surface = { points = [[0.1, 0.1], [1.1, 0.1]] } }",
+        "{ name = 'p', within = { sphere = { center = [0.1, 0.1, 1.3], radius = 0.2 } } }",
+        "{ name = 'p', flux = { rectangle = { min = [-0.1, 0, 0], max = [-0.1, 0.4, 1] } } }",
+        "{ name = 'p', wall = { side = 'z_min', min = [1.2, 0, 0], max = [1.4, 0.4, 1] } }",
+    ];
+    let within = [
+        // y is periodic.
+        "{ name = 'p', surface = { points = [[0.1, 0.1], [0.9, 0.5]] } }",
+        "{ name = 'p', within = { sphere = { center = [0.1, 0.1, 1.1], radius = 0.2 } } }",
+        "{ name = 'p', flux = { rectangle = { min = [0, 0, 0], max = [0, 0.4, 1] } } }",
+        "{ name = 'p', wall = { side = 'z_min', min = [0.2, 0, 5], max = [0.4, 0.4, 6] } }",
+        "{ name = 'p', nearest = [2, 2, 2] }",
+    ];
+    for (probes, times) in [(&beyond[..], 1), (&within[..], 0)] {
+        for probe in probes {
+            assert_eq!(warned(&[&format!("probe=[{probe}]")], "probe 'p': its"), times, "{probe}");
+        }
+    }
+    let flat = "world.walls={ z_min = 'stick' }";
+    let slice = "world.plane_strain={ thickness_cells = 8 }";
+    assert_eq!(warned(&[flat, slice, "gravity=[0, -1, -9]"], "gravity: its part along y, -1 m/s²"), 1);
+    assert_eq!(warned(&[flat, slice, "gravity=[1, 0, -9]"], "gravity"), 0);
+    assert_eq!(warned(&[flat, "gravity=[0, -1, -9]"], "gravity"), 0);
+}
+
 /// Ground that is too thin for a coarse level is told, with what would mend it; each mend does.
 #[test]
 fn a_level_with_less_than_four_cells_of_ground_warns() {

@@ -2,8 +2,8 @@
 
 use super::Plan;
 use crate::levels::{AROUND_AGENT, Agent, CellBox, DEAD_ZONE, Followed, LEAST_DEPTH, targets};
-use crate::scene::{Body, Motion, OverBound, Shape, Tool, named_together, plain};
-use crate::{Coupling, Registry, Result};
+use crate::scene::{Body, Motion, OverBound, Probe, Shape, Tool, named_together, plain};
+use crate::{Aabb, Coupling, Registry, Result, Vec3};
 
 /// Fine cells that should lie below a tool before a rim: a sphere pressed into elastic ground, its box's half side 12, 10 and 8 cells, felt 0.1, 1.4 and
 /// 7.5 % more than in fine ground throughout.
@@ -52,6 +52,13 @@ impl Plan {
         }
         warnings.extend(self.near_rims(couplings));
         warnings.extend(self.steeper_than_repose());
+        warnings.extend(self.probes_beyond());
+        if self.scene.world.plane_strain.is_some() && self.scene.gravity[1] != 0.0 {
+            warnings.push(format!(
+                "gravity: its part along y, {} m/s², does nothing in plane strain, where nothing moves along y; set it to 0, or take out world.plane_strain",
+                self.scene.gravity[1]
+            ));
+        }
         let time = &self.scene.time;
         let step = time.step.unwrap_or(0.0);
         if step > self.bound.dt && time.over_bound != OverBound::Refuse {
@@ -91,6 +98,47 @@ impl Plan {
             })
         };
         bodies.filter_map(warning).collect()
+    }
+
+    /// Says which probes look where no ground ever is.
+    fn probes_beyond(&self) -> Vec<String> {
+        let world = &self.scene.world;
+        let is_beyond = |min: Vec3, max: Vec3| (0..3).any(|d| max[d] < world.min[d] || min[d] > world.max[d]);
+        // Heights are those of a point's image within the world.
+        let point_is_beyond = |point: [f64; 2]| {
+            (0..2).any(|d| !world.is_periodic(d) && (point[d] < world.min[d] || point[d] > world.max[d]))
+        };
+        let part = |probe: &Probe| match probe {
+            Probe { flux: Some(section), .. } => {
+                let Aabb { min, max } = section.bounds();
+                is_beyond(min, max).then(|| "flux".to_owned())
+            }
+            Probe { within: Some(region), .. } => {
+                let Aabb { min, max } = region.bounds();
+                is_beyond(min, max).then(|| "within".to_owned())
+            }
+            Probe { wall: Some(part), .. } => {
+                let (axis, _) = part.side.axis();
+                let [mut min, mut max] = part.corners();
+                (min[axis], max[axis]) = (world.min[axis], world.max[axis]);
+                is_beyond(min, max).then(|| "wall".to_owned())
+            }
+            Probe { surface: Some(surface), .. } => surface
+                .places()
+                .into_iter()
+                .find(|point| point_is_beyond(*point))
+                .map(|point| format!("surface, at {point:?},")),
+            _ => None,
+        };
+        let warning = |probe: &Probe| {
+            part(probe).map(|part| {
+                format!(
+                    "probe '{}': its {part} is outside the world, from {:?} to {:?}, and measures nothing there; move it, or widen world.min and world.max",
+                    probe.name, world.min, world.max
+                )
+            })
+        };
+        self.scene.probe.iter().filter_map(warning).collect()
     }
 
     /// Says which tools have too little fine ground below them when they press it, wherever in its box the tool is: a box follows only once its agent is out of

@@ -271,8 +271,8 @@ fn explain(error: &serde_path_to_error::Error<toml::de::Error>, source: &Source)
         let path = if path.is_empty() { name } else { format!("{path}.{name}") };
         (path, "this key is required".to_owned(), "add it".to_owned())
     } else if message.starts_with("invalid type: unit variant") {
-        let mend = "write `{ NAME = { KEY = … } }` in place of `\"NAME\"`; `barchan schema` has the keys";
-        (path, "this choice has keys of its own".to_owned(), mend.to_owned())
+        let mend = "a choice that has keys of its own is written `{ NAME = { KEY = … } }`, one that has none `\"NAME\"`; `barchan schema` has them all";
+        (path, "its choice is written otherwise".to_owned(), mend.to_owned())
     } else if message.starts_with("wanted exactly 1 element") {
         let what = if message.contains("0 elements") {
             "none of its choices is given"
