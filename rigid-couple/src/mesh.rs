@@ -20,25 +20,38 @@ pub struct TriangleMesh {
 /// Longest and shortest longest side that a mesh may have [m]: products of lengths stay numbers in between.
 const LARGEST: f64 = 1e9;
 const SMALLEST: f64 = 1e-9;
+/// Vertices of a mesh that is not closed are joined if they are the same to so much of its longest side.
+const ROUNDED: f64 = 1e-6;
 
 impl TriangleMesh {
-    /// Joins equal vertices, drops triangles that have two corners in common, and checks what is left.
+    /// Joins equal vertices, drops triangles that have two corners in common, and checks what is left. Where that is not closed, vertices closer than [`ROUNDED`] of
+    /// the mesh's longest side are joined, too: what sweeps a full turn ends beside where it began.
     ///
     /// # Errors
     /// If the mesh is empty, not finite, not closed, inside out, or of a size that nothing on Earth has; the first offending edge is named.
     pub fn new(corners: impl IntoIterator<Item = [DVec3; 3]>) -> Result<Self, Refusal> {
+        let corners: Vec<[DVec3; 3]> = corners.into_iter().collect();
+        let all = || corners.iter().flatten();
+        if let Some(bad) = all().find(|x| !x.is_finite()) {
+            let what = format!("a vertex is at {bad}");
+            return Err(Refusal::new(what, "repair the file: coordinates must be finite"));
+        }
+        // Adding zero turns -0 into 0, which is the same place with other bits.
+        let exact = Self::joined(&corners, |x| (x + DVec3::ZERO).to_array().map(f64::to_bits));
+        let Err(refusal) = exact.check() else { return Ok(exact) };
+        let ends = all().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), x| (low.min(*x), high.max(*x)));
+        let near = ROUNDED * (ends.1 - ends.0).max_element();
+        let rounded = Self::joined(&corners, |x| ((x - ends.0) / near).round().to_array().map(f64::to_bits));
+        if rounded.check().is_ok() { Ok(rounded) } else { Err(refusal) }
+    }
+
+    /// With corners that have the same key as one vertex, where the first of them is.
+    fn joined(corners: &[[DVec3; 3]], key: impl Fn(DVec3) -> [u64; 3]) -> Self {
         let mut mesh = Self { vertices: Vec::new(), triangles: Vec::new() };
         let mut index = HashMap::new();
         for triangle in corners {
-            if let Some(bad) = triangle.iter().find(|x| !x.is_finite()) {
-                return Err(Refusal::new(
-                    format!("a vertex is at {bad}"),
-                    "repair the file: coordinates must be finite",
-                ));
-            }
             let triangle = triangle.map(|x| {
-                // Adding zero turns -0 into 0, which is the same place with other bits.
-                *index.entry((x + DVec3::ZERO).to_array().map(f64::to_bits)).or_insert_with(|| {
+                *index.entry(key(x)).or_insert_with(|| {
                     mesh.vertices.push(x);
                     mesh.vertices.len() as u32 - 1
                 })
@@ -47,8 +60,7 @@ impl TriangleMesh {
                 mesh.triangles.push(triangle);
             }
         }
-        mesh.check()?;
-        Ok(mesh)
+        mesh
     }
 
     /// Reads an OBJ, STL or DAE file; `scale` takes the file's unit to metres.

@@ -443,13 +443,7 @@ impl Coupling for Rigid {
             let (body, wrench) = (&mut self.bodies[i], &mut self.wrenches[i]);
             self.counts.deep_nodes += deep_nodes;
             self.counts.unconverged += u64::from(!converged);
-            if let Some(answering) = body.answering() {
-                body.state.twist.linear += answering.gains(DVec3::from_array(impulse.force));
-            }
-            if body.is_free() {
-                body.state.angular_momentum += DVec3::from_array(impulse.torque);
-                body.state.twist.angular = body.spin(&body.state.pose);
-            }
+            body.gain([impulse.force, impulse.torque].map(DVec3::from_array));
             for d in 0..3 {
                 wrench.force[d] += impulse.force[d] / dt;
                 wrench.torque[d] += impulse.torque[d] / dt;
@@ -591,6 +585,17 @@ impl Coupling for Rigid {
             return Err(Refusal::new("there is no such tool", format!("known are: {}", names.join(", "))).at(&path));
         };
         let body = &mut self.bodies[i];
+        if let &Command::Impulse { linear, angular } = command {
+            let blow = vector(linear, "the impulse")
+                .and_then(|linear| Ok([linear, vector(angular, "the angular impulse")?]))
+                .map_err(|refusal| refusal.at(&path))?;
+            if body.answering().is_none() {
+                let what = "it moves as it is told, whatever pushes it";
+                return Err(Refusal::new(what, "give it a motion = { free = {} }").at(&path));
+            }
+            body.gain(blow);
+            return Ok(());
+        }
         let &Command::Twist { linear, angular } = command else {
             let what = format!("it has no joints, and {} are asked for", command.name());
             return Err(Refusal::new(what, "give it a twist").at(&path));
@@ -610,21 +615,13 @@ impl Coupling for Rigid {
 
     fn warnings(&self, cell_width: f64) -> Vec<String> {
         let mut warnings = Vec::new();
+        let has_ground = self.scene.has_ground();
         for body in &self.bodies {
-            warnings.extend(thin(&body.name, &body.shape, cell_width));
+            warnings.extend(thin(&body.name, &body.shape, cell_width).filter(|_| has_ground));
             if body.ignored_position {
                 warnings
                     .push(format!("tool '{}': its position is ignored, since keyframes say where it is", body.name));
             }
-        }
-        let is_joined = (0..3).any(|axis| self.scene.world.is_periodic(axis));
-        if let Some(free) =
-            self.bodies.iter().find(|body| body.is_free()).filter(|_| is_joined && self.bodies.len() > 1)
-        {
-            warnings.push(format!(
-                "tool '{}' passes through other tools beyond periodic sides, though it meets the ground there; where there is a robot it does not",
-                free.name
-            ));
         }
         warnings
     }

@@ -30,11 +30,12 @@ pub mod visual;
 pub use coupling::Robots;
 pub use model::RobotModel;
 
+use crate::Refusal;
 use crate::motion::Pose;
 use crate::rigid::body::Guided;
 use balance::Correction;
-use barchan_core::Aabb;
 use barchan_core::contact::{System, Twist};
+use barchan_core::{Aabb, Vec3};
 use dynamics::Place;
 use glam::{DMat3, DVec3};
 use joints::{Gains, Impulse, Joint, Order};
@@ -51,6 +52,9 @@ const MOST_RAISED: f64 = 4.0;
 
 /// How far ahead contact points are looked for, besides how far links come in a step [m].
 const AHEAD: f64 = 1e-3;
+
+/// Share of the inertia that a joint moves above which an armature is worth a word.
+const ROTOR_SHARE: f64 = 0.1;
 
 /// What changes from step to step.
 #[derive(Clone, Debug, Serialize, Deserialize)]
@@ -204,9 +208,57 @@ impl Robot {
         }
     }
 
-    /// The torque of a drive's motor as the step under way has it [N m or N].
-    pub(crate) fn motor_torque(&self, drive: usize) -> f64 {
-        self.joint(drive).motor(self.step.rates[self.base_rates() + drive]).value
+    /// The torque of each drive's motor at the end of the last step [N m or N]: a state that is restored has the same.
+    pub(crate) fn motor_torques(&self) -> Vec<f64> {
+        let mut orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(self.state.clock, 0.0));
+        self.balance_orders(self.leaning(), &mut orders);
+        let rates = self.step.rates.iter().skip(self.base_rates());
+        let torque = |(drive, (order, rate)): (usize, (Order, &f64))| {
+            // A step ends where its rates lead: what the motor gives in it is what it gives there.
+            Joint { order, dt: 0.0, ..self.joint(drive) }.motor(*rate).value
+        };
+        orders.into_iter().zip(rates).enumerate().map(torque).collect()
+    }
+
+    /// Takes a blow on one of its bodies: an impulse through that one's centre of mass [N s], and an angular impulse [N m s].
+    ///
+    /// # Errors
+    /// If they are not finite, or nothing of it can move that way.
+    pub(crate) fn take_blow(&mut self, body: usize, linear: Vec3, angular: Vec3) -> Result<(), Refusal> {
+        let [linear, angular] = [linear, angular].map(DVec3::from_array);
+        if !(linear.is_finite() && angular.is_finite()) {
+            return Err(Refusal::new("the impulse is not finite", "give finite numbers"));
+        }
+        let lost = || Refusal::new("its motion is lost", "start from the last snapshot");
+        self.take_over().ok_or_else(lost)?;
+        let mut gained = DVector::zeros(self.step.rates.len());
+        self.step.places[self.solids[body]].add_wrench(linear, angular, &mut gained);
+        if gained.iter().all(|x| *x == 0.0) && (linear, angular) != (DVec3::ZERO, DVec3::ZERO) {
+            let what = format!("'{}' cannot move that way", self.body_name(body));
+            return Err(Refusal::new(what, "push what is free, or a link that joints let go"));
+        }
+        let factor = self.step.mass.clone().cholesky().ok_or_else(lost)?;
+        self.step.rates += factor.solve(&gained);
+        self.state.rates.copy_from_slice(self.step.rates.as_slice());
+        Ok(())
+    }
+
+    /// Says which joints that nothing drives have an armature that matters.
+    pub(crate) fn heavy_rotors(&self) -> Option<String> {
+        let is_slowed = |(d, drive): &(usize, &model::Drive)| {
+            let rate = self.base_rates() + d;
+            let is_idle = self.gains[*d].kp == 0.0 && self.gains[*d].kd == 0.0;
+            is_idle && drive.armature > ROTOR_SHARE * (self.step.mass[(rate, rate)] - drive.armature)
+        };
+        let slowed = self.model.drives.iter().enumerate().filter(is_slowed);
+        let names: Vec<String> = slowed.map(|(_, drive)| format!("'{}'", drive.name)).collect();
+        (!names.is_empty()).then(|| {
+            format!(
+                "robot '{}': the armature of joints without a motor that holds them, {}, is more than a tenth of the inertia that they move, and slows them down; where nothing drives them, give them a [[robot.motor]] with armature = 0",
+                self.name,
+                names.join(", ")
+            )
+        })
     }
 
     /// Moves on to a step: the motors' orders, where links are, and what touches what is rigid, such as `tools`.

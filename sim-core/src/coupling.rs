@@ -34,7 +34,7 @@ impl Wrench {
     }
 }
 
-/// What a body is told to do from now on.
+/// What a body is told to do from now on, or a blow that it gets once.
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum Command {
@@ -50,15 +50,23 @@ pub enum Command {
     JointTargets(Vec<f64>),
     /// Act on its joints, in the order in which the body lists them: torques on revolute joints [N m], forces on prismatic ones [N].
     JointTorques(Vec<f64>),
+    /// Take a blow, once: what it is told besides goes on.
+    Impulse {
+        /// Through its centre of mass, which is the base's for a robot; world frame [N s].
+        linear: Vec3,
+        /// World frame [N m s].
+        angular: Vec3,
+    },
 }
 
 impl Command {
-    /// What it gives, for messages: "a twist", "joint targets" or "joint torques".
+    /// What it gives, for messages: "a twist", "joint targets", "joint torques" or "an impulse".
     pub fn name(&self) -> &'static str {
         match self {
             Self::Twist { .. } => "a twist",
             Self::JointTargets(_) => "joint targets",
             Self::JointTorques(_) => "joint torques",
+            Self::Impulse { .. } => "an impulse",
         }
     }
 
@@ -66,7 +74,9 @@ impl Command {
     pub fn greatest(&self) -> f64 {
         let greatest = |numbers: &[f64]| numbers.iter().map(|x| x.abs()).max_by(f64::total_cmp).unwrap_or(0.0);
         match self {
-            Self::Twist { linear, angular } => greatest(&[*linear, *angular].concat()),
+            Self::Twist { linear, angular } | Self::Impulse { linear, angular } => {
+                greatest(&[*linear, *angular].concat())
+            }
             Self::JointTargets(numbers) | Self::JointTorques(numbers) => greatest(numbers),
         }
     }

@@ -110,9 +110,22 @@ pub struct Scene {
 }
 
 impl Scene {
-    /// Is a tool moved together with the scene's robots, in one system? Those that answer what they feel are where there are robots, so that the two may touch.
+    /// Is a tool solved in one system with all that is rigid and the ground, as robots are? Those that answer what they feel are, where there is more for them to touch
+    /// than walls: robots, or beside a free tool any other one.
     pub fn goes_with_robots(&self, tool: &Tool) -> bool {
-        !self.robot.is_empty() && tool.answers()
+        let may_touch =
+            || self.tool.len() > 1 && self.tool.iter().any(|tool| matches!(tool.motion, Motion::Free { .. }));
+        tool.answers() && (!self.robot.is_empty() || may_touch())
+    }
+
+    /// Are there particles, or will there be?
+    pub fn has_ground(&self) -> bool {
+        !self.body.is_empty() || !self.inflow.is_empty()
+    }
+
+    /// Is anything solved as robots are?
+    pub fn has_robots(&self) -> bool {
+        !self.robot.is_empty() || self.tool.iter().any(|tool| self.goes_with_robots(tool))
     }
 
     /// The tools that move by themselves, with their numbers: all but those that [go with robots](Self::goes_with_robots).

@@ -420,7 +420,7 @@ impl Simulation {
         self.couplings.iter().flat_map(|coupling| coupling.joints()).collect()
     }
 
-    /// Tells a body what to do from now on.
+    /// Tells a body what to do from now on, or gives it a blow.
     ///
     /// # Errors
     /// [`Error::Body`] if there is no such body, it does not take such commands, or the numbers are not finite.

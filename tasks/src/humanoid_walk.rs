@@ -109,7 +109,7 @@ impl Episode for Walking {
         let mut reward = SCALE.reward(share * (length(target) + of_head.abs()), self.horizon);
         if terminated {
             let steps = self.horizon.saturating_sub(self.steps);
-            let losses = left(standing.position, state.position, time, standing.legged.interval, steps);
+            let losses = left(time, standing.legged.interval, steps);
             reward += SCALE.rest(losses.map(|loss| share * (loss + LIES)), self.horizon);
         }
         let walked = state.position[0] - standing.position[0];

@@ -210,7 +210,7 @@ impl Episode for Walking {
         let share = standing.legged.share();
         let mut reward = rules.scale.reward(share * length(target), *horizon);
         if terminated {
-            let losses = left(standing.position, state.position, time, interval, horizon.saturating_sub(*steps));
+            let losses = left(time, interval, horizon.saturating_sub(*steps));
             reward += rules.scale.rest(losses.map(|loss| share * loss), *horizon);
         }
         let walked = state.position[0] - standing.position[0];

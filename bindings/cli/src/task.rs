@@ -37,7 +37,7 @@ enum Agent {
 
 #[derive(Args)]
 pub(crate) struct RunArgs {
-    /// A task; see `task list`.
+    /// A task; see `task list`. Or a TOML file: a scene whose [task] names one.
     name: String,
     /// Who acts.
     #[arg(long, value_enum, default_value_t = Agent::Heuristic)]
@@ -184,7 +184,7 @@ fn episode(
             })?;
             out.clone()
         }
-        None => next_folder(Path::new("out"), &recording.task)?,
+        None => next_folder(Path::new("out"), environment.task().name())?,
     };
     let steps = most.min(environment.task().horizon());
     let mut pictures = Pictures::new(&environment, output.pictures.min(steps));

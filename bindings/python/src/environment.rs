@@ -1,9 +1,10 @@
 //! The class `Environment`: worlds of a task.
 
 use crate::errors::{OrRaise, raised};
-use crate::machine::taken;
+use crate::given::{Numbers, blows, check_count, check_world, named, precision, seeds, tell, whole_seed};
+use crate::machine::Shared;
 use crate::picture::{array, check_part};
-use crate::simulation::{Numbers, Simulation, check_count, check_world, named, precision, seeds, whole_seed};
+use crate::simulation::Simulation;
 use crate::{known, records, scene};
 use barchan::environment::{Environment as Worlds, Recording, Step};
 use barchan::parameter::Table;
@@ -14,10 +15,11 @@ use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use std::path::PathBuf;
-use std::sync::{Mutex, MutexGuard};
+use std::sync::MutexGuard;
 use std::time::{Duration, Instant};
 
-/// What a task asks for, what an action and an observation hold: a `Task` record. Nothing is simulated for it.
+/// What a task asks for, what an action and an observation hold: a `Task` record. Nothing is simulated for it. A task has a name, or is what a scene of one's own (a `.toml` file)
+/// asks for.
 ///
 /// Raises `UnknownNameError` if there is no such task, and `BodyError` if it has no such parameter.
 #[pyfunction]
@@ -27,7 +29,7 @@ pub(crate) fn task<'py>(
     name: &str,
     parameters: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    records::task(py, &*known(py)?.task(name, &table(parameters)?).or_raise(py)?)
+    records::task(py, &*barchan::environment::task(&known(py)?, name, &table(parameters)?).or_raise(py)?)
 }
 
 /// A task's parameters.
@@ -44,7 +46,7 @@ fn table(parameters: Option<&Bound<'_, PyDict>>) -> PyResult<Table> {
 /// Parameters
 /// ----------
 /// task
-///     Name of a task (`barchan.registry()["tasks"]`).
+///     Name of a task (`barchan.registry()["tasks"]`), or path to a scene of one's own (a `.toml` file) whose `[task]` names one.
 /// worlds
 ///     How many there are.
 /// seed
@@ -60,7 +62,7 @@ fn table(parameters: Option<&Bound<'_, PyDict>>) -> PyResult<Table> {
 /// limits is cut off and counted in info["clipped"]. World w is the same as it would be alone, bit for bit. `barchan.envs` wraps this for Gymnasium.
 #[pyclass(module = "barchan", frozen)]
 pub(crate) struct Environment {
-    inner: Mutex<Inner>,
+    inner: Shared<Inner>,
     name: String,
     worlds: usize,
     options: Options,
@@ -83,7 +85,7 @@ struct Inner {
 
 impl Environment {
     fn inner<'a>(&'a self, py: Python<'_>) -> PyResult<MutexGuard<'a, Inner>> {
-        taken(py, &self.inner, "environment", "wait for it, or make one for each thread")
+        self.inner.taken(py, "environment", "wait for it, or make one for each thread")
     }
 
     /// A row for each world.
@@ -164,7 +166,7 @@ impl Environment {
             ..Options::default()
         };
         let (registry, parameters) = (known(py)?, table(parameters)?);
-        let made = registry.task(task, &parameters).or_raise(py)?;
+        let made = barchan::environment::task(&registry, task, &parameters).or_raise(py)?;
         let environment = py.detach(|| Worlds::new(&registry, made, &seeds, &options)).or_raise(py)?;
         let played_on = format!("{} {}", options.backend, options.precision);
         let recording = |seed: &u64| Recording {
@@ -184,7 +186,7 @@ impl Environment {
             failures: vec![None; worlds],
         };
         let ends = failures == "end";
-        Ok(Self { inner: Mutex::new(inner), name: task.to_owned(), worlds, options, ends })
+        Ok(Self { inner: Shared::new(inner), name: task.to_owned(), worlds, options, ends })
     }
 
     /// What the task asks for, and what an action and an observation hold: a `Task` record.
@@ -235,6 +237,25 @@ impl Environment {
     #[getter]
     fn stepping_seconds(&self, py: Python<'_>) -> PyResult<f64> {
         Ok(self.inner(py)?.stepping.as_secs_f64())
+    }
+
+    /// Gives a robot, a link of one, or a free tool a blow, as `Simulation.push` does: what episodes are disturbed by. An episode's file does not hold it.
+    ///
+    /// Raises `BodyError` if there is no such body, it cannot move that way, or numbers are not finite.
+    #[pyo3(signature = (body, impulse, *, angular=None, worlds=None))]
+    fn push(
+        &self,
+        py: Python<'_>,
+        body: &str,
+        impulse: Numbers<'_>,
+        angular: Option<Numbers<'_>>,
+        worlds: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let mut inner = self.inner(py)?;
+        let worlds = Simulation::chosen(worlds, self.worlds)?;
+        let blows = blows(&impulse, angular.as_ref(), worlds.len())?;
+        let all = inner.environment.worlds_mut();
+        tell(py, self.worlds, worlds, blows, |world, command| all.world_mut(world).act(body, command))
     }
 
     /// Begins new episodes: in all worlds, or in those in `worlds` (a number or a list), with the same seeds as before or with `seeds`, one for each of them.

@@ -7,6 +7,7 @@
 mod arrays;
 mod environment;
 mod errors;
+mod given;
 mod machine;
 mod material;
 mod picture;

@@ -12,19 +12,34 @@ pub(crate) const SLICE: Duration = Duration::from_millis(50);
 /// Most steps that a device is asked for at once.
 const MOST: usize = 1 << 10;
 
-/// What one thread at a time may use, unless another one is at it; `mend` says what to do then.
-pub(crate) fn taken<'a, T>(
-    py: Python<'_>,
-    shared: &'a Mutex<T>,
-    what: &str,
-    mend: &str,
-) -> PyResult<MutexGuard<'a, T>> {
-    shared.try_lock().map_err(|error| match error {
-        TryLockError::WouldBlock => exception(py, "BusyError", &format!("another thread is at this {what}; {mend}")),
-        TryLockError::Poisoned(_) => {
-            exception(py, "BusyError", &format!("a call of this {what} has broken down half way; make a new one"))
+/// What one thread at a time may use, in the process that made it.
+pub(crate) struct Shared<T> {
+    value: Mutex<T>,
+    process: u32,
+}
+
+impl<T> Shared<T> {
+    pub(crate) fn new(value: T) -> Self {
+        Self { value: Mutex::new(value), process: std::process::id() }
+    }
+
+    /// Takes it, unless another thread is at it; `mend` says what to do then.
+    pub(crate) fn taken(&self, py: Python<'_>, what: &str, mend: &str) -> PyResult<MutexGuard<'_, T>> {
+        if self.process != std::process::id() {
+            // What runs has threads, which a fork has not: it would wait for them for ever.
+            let why = format!("this {what} was made before the process was forked, and its threads are the parent's");
+            let mend = "make a new one here, or start processes by multiprocessing's \"spawn\" or \"forkserver\"";
+            return Err(exception(py, "BusyError", &format!("{why}; {mend}")));
         }
-    })
+        self.value.try_lock().map_err(|error| match error {
+            TryLockError::WouldBlock => {
+                exception(py, "BusyError", &format!("another thread is at this {what}; {mend}"))
+            }
+            TryLockError::Poisoned(_) => {
+                exception(py, "BusyError", &format!("a call of this {what} has broken down half way; make a new one"))
+            }
+        })
+    }
 }
 
 /// What runs: one world with all threads, or worlds of one batch.

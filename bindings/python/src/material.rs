@@ -7,7 +7,7 @@ use barchan_abi as abi;
 use numpy::{Element, PyArray1, PyArray2, PyArrayMethods, PyUntypedArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyDict, PyTuple};
+use pyo3::types::{PyDict, PyTuple, PyType};
 use std::slice::from_raw_parts;
 use std::sync::{Mutex, OnceLock};
 
@@ -242,6 +242,10 @@ fn text(text: String) -> abi::BarchanStr {
 /// Raises `PluginError` if the name is taken or not in snake_case, or there are 16 of them already.
 #[pyfunction]
 pub(crate) fn add_material(py: Python<'_>, law: Bound<'_, PyAny>) -> PyResult<String> {
+    if law.is_instance_of::<PyType>() {
+        let class = law.getattr("__name__")?;
+        return Err(PyTypeError::new_err(format!("add_material: {class} is a class; give an object of it, {class}()")));
+    }
     let name: String = law.getattr("name")?.extract()?;
     let dict = |name: &str| -> PyResult<Bound<'_, PyDict>> {
         match law.getattr_opt(name)? {

@@ -1,15 +1,18 @@
 //! The class `Simulation`.
 
 use crate::errors::{OrRaise, exception, raised};
-use crate::machine::{Machine, taken};
+use crate::given::{
+    Numbers, axes, blows, check_count, check_world, named, per_world, precision, seeds, tell, whole_seed,
+};
+use crate::machine::{Machine, Shared};
 use crate::state::State;
 use crate::{arrays, known, records, scene};
 use barchan::probe::Filter;
 use barchan::scene::Probe;
 use barchan::stress::pressure;
-use barchan::{Aabb, Closest, Command, Fields, Options, Precision, Reading, Scene, Simulation as World};
-use numpy::{AllowTypeChange, PyArray1, PyArrayLikeDyn, PyArrayMethods};
-use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
+use barchan::{Aabb, Closest, Command, Fields, Options, Reading, Scene, Simulation as World};
+use numpy::{PyArray1, PyArrayMethods};
+use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::{PyBool, PyDict, PyTuple};
 use std::path::PathBuf;
@@ -17,9 +20,6 @@ use std::sync::{Mutex, MutexGuard};
 
 /// Names of what can be read of particles besides where they are.
 const FIELDS: [&str; 8] = ["velocity", "affine", "mass", "volume0", "id", "body", "material", "level"];
-
-/// Numbers of any shape: an array, or lists of them. Shapes are checked where it is known what they should be.
-pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 
 /// A scene that is put on a backend and stepped: one world, or many that are stepped together.
 ///
@@ -47,7 +47,7 @@ pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 /// to write into it changes nothing here.
 #[pyclass(module = "barchan", frozen)]
 pub(crate) struct Simulation {
-    machine: Mutex<Machine>,
+    machine: Shared<Machine>,
     scene: Scene,
     /// Those of the present backend.
     options: Mutex<Options>,
@@ -56,7 +56,7 @@ pub(crate) struct Simulation {
 impl Simulation {
     /// What runs, unless another thread is at it.
     fn machine<'a>(&'a self, py: Python<'_>) -> PyResult<MutexGuard<'a, Machine>> {
-        taken(py, &self.machine, "simulation", "wait for it, or use a fork() of it")
+        self.machine.taken(py, "simulation", "wait for it, or use a fork() of it")
     }
 
     fn options(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, Options>> {
@@ -99,70 +99,6 @@ impl Simulation {
     }
 }
 
-pub(crate) fn check_world(world: usize, count: usize) -> PyResult<()> {
-    if world < count {
-        return Ok(());
-    }
-    Err(PyIndexError::new_err(format!("there is no world {world}; they are counted from 0, and there are {count}")))
-}
-
-pub(crate) fn precision(text: &str) -> PyResult<Precision> {
-    text.parse().map_err(PyValueError::new_err)
-}
-
-/// May there be so many worlds?
-pub(crate) fn check_count(py: Python<'_>, worlds: usize) -> PyResult<()> {
-    if worlds == 0 {
-        return Err(PyValueError::new_err("worlds: there must be one at least"));
-    }
-    barchan::worlds::check_count(worlds).or_raise(py)
-}
-
-/// A seed, if scenes may have it: theirs are numbers of TOML.
-pub(crate) fn whole_seed(seed: u64) -> PyResult<u64> {
-    if i64::try_from(seed).is_ok() { Ok(seed) } else { Err(PyValueError::new_err(SEEDS)) }
-}
-
-/// What seeds are.
-const SEEDS: &str = "seeds are whole numbers from 0 to 2^63 - 1";
-
-/// A seed for each of so many worlds.
-pub(crate) fn seeds(seeds: &Bound<'_, PyAny>, worlds: usize) -> PyResult<Vec<u64>> {
-    let given = seeds.extract::<u64>().map(|one| vec![one]).or_else(|_| seeds.extract::<Vec<u64>>());
-    let given = given.map_err(|_| PyTypeError::new_err(SEEDS))?;
-    let given = given.into_iter().map(whole_seed).collect::<PyResult<Vec<_>>>()?;
-    if given.len() != worlds {
-        return Err(PyValueError::new_err(format!("seeds: there are {} of them for {worlds} worlds", given.len())));
-    }
-    Ok(given)
-}
-
-/// Name of an adapter, or its number.
-pub(crate) fn named(adapter: &Bound<'_, PyAny>) -> PyResult<String> {
-    Ok(adapter.str()?.to_string())
-}
-
-/// Rows of a command for so many worlds: one row for all of them, or one for each.
-fn per_world(values: Option<&Numbers<'_>>, what: &str, worlds: usize) -> PyResult<Vec<Option<Vec<f64>>>> {
-    let Some(values) = values else { return Ok(vec![None; worlds]) };
-    let values = values.as_array();
-    match values.shape() {
-        [_] => Ok(vec![Some(values.iter().copied().collect()); worlds]),
-        &[rows, _] if rows == worlds => {
-            Ok(values.rows().into_iter().map(|row| Some(row.iter().copied().collect())).collect())
-        }
-        shape => Err(PyValueError::new_err(format!(
-            "{what}: its shape is {shape:?}; give one row of numbers for all worlds, or a row for each of {worlds}"
-        ))),
-    }
-}
-
-fn axes(values: Option<Vec<f64>>, what: &str) -> PyResult<[f64; 3]> {
-    let Some(values) = values else { return Ok([0.0; 3]) };
-    let count = values.len();
-    values.try_into().map_err(|_| PyValueError::new_err(format!("{what}: {count} numbers; it takes x, y and z")))
-}
-
 #[pymethods]
 impl Simulation {
     #[new]
@@ -195,7 +131,7 @@ impl Simulation {
         let registry = known(py)?;
         let scene = scenes[0].clone();
         let machine = py.detach(|| Machine::new(&registry, scenes, &options)).or_raise(py)?;
-        Ok(Self { machine: Mutex::new(machine), scene, options: Mutex::new(options) })
+        Ok(Self { machine: Shared::new(machine), scene, options: Mutex::new(options) })
     }
 
     /// Goes on from a file that `save` or a run of the command line has written, as one world. Precision is the file's.
@@ -216,7 +152,7 @@ impl Simulation {
         let options = Options { backend: backend.to_owned(), precision, threads, adapter, ..Options::default() };
         let world = py.detach(|| World::resume(&registry, &path, &options)).or_raise(py)?;
         let scene = world.plan().scene.clone();
-        Ok(Self { machine: Mutex::new(Machine::One(Box::new(world))), scene, options: Mutex::new(options) })
+        Ok(Self { machine: Shared::new(Machine::One(Box::new(world))), scene, options: Mutex::new(options) })
     }
 
     /// Takes `count` steps in every world.
@@ -649,14 +585,28 @@ impl Simulation {
             })
         };
         let commands = all.map(command).collect::<PyResult<Vec<_>>>()?;
-        // What is no number, or the greatest, goes first: if a command is refused for its numbers, it is that one, and no world has taken any.
-        let mut told: Vec<(usize, Command)> = worlds.into_iter().zip(commands).collect();
-        told.sort_by(|(_, a), (_, b)| b.greatest().total_cmp(&a.greatest()));
-        for (world, command) in told {
-            let told = machine.world_mut(world).act(body, &command);
-            told.map_err(|error| raised(py, error, (machine.len() > 1).then_some(world)))?;
-        }
-        Ok(())
+        tell(py, machine.len(), worlds, commands, |world, command| machine.world_mut(world).act(body, command))
+    }
+
+    /// Gives a robot, a link of one, or a free tool a blow, once: an `impulse` [N s] through its centre of mass and an `angular` impulse [N m s], both (3,) in world axes. A
+    /// robot takes it at its base. What it is told besides goes on.
+    ///
+    /// Every world gets the same, those in `worlds` only (a number or a list), or each its own if arrays have a row for each of them.
+    ///
+    /// Raises `BodyError` if there is no such body, it cannot move that way, or numbers are not finite.
+    #[pyo3(signature = (body, impulse, *, angular=None, worlds=None))]
+    fn push(
+        &self,
+        py: Python<'_>,
+        body: &str,
+        impulse: Numbers<'_>,
+        angular: Option<Numbers<'_>>,
+        worlds: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let mut machine = self.machine(py)?;
+        let worlds = Self::chosen(worlds, machine.len())?;
+        let blows = blows(&impulse, angular.as_ref(), worlds.len())?;
+        tell(py, machine.len(), worlds, blows, |world, command| machine.world_mut(world).act(body, command))
     }
 
     /// Sets worlds back to their start: all, or those in `worlds` (a number or a list). With `seeds`, one for each of them, they start from these random
@@ -722,7 +672,7 @@ impl Simulation {
         let (registry, options) = (known(py)?, self.options(py)?.clone());
         let one = py.detach(|| World::from_state(&registry, &state, &options)).or_raise(py)?;
         let scene = state.scene().clone();
-        Ok(Self { machine: Mutex::new(Machine::One(Box::new(one))), scene, options: Mutex::new(options) })
+        Ok(Self { machine: Shared::new(Machine::One(Box::new(one))), scene, options: Mutex::new(options) })
     }
 
     /// Makes worlds copies of world `source`, which then go on as it does: those in `targets` (a number or a list). On a GPU nothing leaves it. They take over its random
@@ -848,7 +798,7 @@ impl Simulation {
     }
 
     fn __repr__(&self, py: Python<'_>) -> PyResult<String> {
-        let Ok(machine) = self.machine.try_lock() else {
+        let Ok(machine) = self.machine(py) else {
             return Ok(format!("<barchan.Simulation of '{}', busy>", self.scene.name));
         };
         let options = self.options(py)?;

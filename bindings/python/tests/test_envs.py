@@ -195,7 +195,7 @@ def test_a_wrong_seed_leaves_the_environment_as_it_was():
     assert one.reset(seed=7)[1] == {"seed": 7}
     vector = envs.TaskVectorEnv(TASK, 3)
     vector.reset(seed=10)
-    for wrong in (2**63, 2**64, -1, 1.5):
+    for wrong in (2**63, 2**64, -1, 1.5, True):
         with pytest.raises((ValueError, gymnasium.error.Error), match="seed"):
             one.reset(seed=wrong)
         with pytest.raises(ValueError, match="seed"):
@@ -203,6 +203,9 @@ def test_a_wrong_seed_leaves_the_environment_as_it_was():
     with pytest.raises(ValueError, match="seed"):
         vector.reset(seed=2**63 - 1)
     assert one.reset()[1] == {"seed": 7} and vector.reset()[1]["seed"].tolist() == [10, 11, 12]
+    # NumPy's whole numbers are whole numbers.
+    assert one.reset(seed=np.int64(8))[1] == {"seed": 8}
+    assert vector.reset(seed=list(np.arange(3)))[1]["seed"].tolist() == [0, 1, 2]
 
 
 def test_actions_may_be_in_the_tasks_units_or_added_to_the_agents():
@@ -319,6 +322,45 @@ def test_the_bare_environment():
         worlds.reset(seeds=[1])
     with pytest.raises(ValueError, match="failures"):
         barchan.Environment(TASK, failures="ignore")
+
+
+def test_a_scene_of_ones_own_is_played(tmp_path):
+    scene = tmp_path / "own.toml"
+    scene.write_text(OWN)
+    assert barchan.task(str(scene)).name == "QuadrupedWalk"
+    worlds = barchan.Environment(str(scene), seed=3)
+    _, rewards, _, _, _, info = worlds.step(np.zeros((1, 12)))
+    assert 4.9 < rewards[0] < 5.0
+    # It is pushed on.
+    worlds.push("it", [0.0, 40.0, 0.0])
+    info = [worlds.step(np.zeros((1, 12)))[5] for _ in range(5)][-1]
+    assert info["off the line [m]"][0] > 0.05
+    gym = envs.TaskEnv(str(scene))
+    assert gym.reset(seed=1)[0].shape == (worlds.task.observation_size,)
+    assert barchan.task(str(scene), {"observation": "heights"}).observation_size > worlds.task.observation_size
+    scene.write_text(OWN.replace("[task]", "[other]"))
+    with pytest.raises(barchan.BarchanError, match="other"):
+        barchan.Environment(str(scene))
+
+
+OWN = """
+name = "own"
+world = { cell = 0.1, min = [-20, -20, 0], max = [20, 20, 2], walls = { z_min = "stick" } }
+time = { end = 20, step = 2e-3 }
+[task]
+name = "QuadrupedWalk"
+[[robot]]
+name = "it"
+model = "quadruped"
+position = [0, 0, 0.4]
+joints = { "*_calf_joint" = -1.6, "*_thigh_joint" = 0.8 }
+motor = [{ kp = 250, kd = 5 }]
+[robot.motion.gait]
+feet = { FL_foot = 0.0, RR_foot = 0.0, FR_foot = 0.5, RL_foot = 0.5 }
+period = 0.4
+stride = [0.2, 0.0, 0.0]
+lift = 0.05
+"""
 
 
 def test_ctrl_c_ends_a_control_step():

@@ -4,6 +4,7 @@ import _thread
 import copy
 import json
 import multiprocessing
+import os
 import pickle
 import sys
 import threading
@@ -130,6 +131,34 @@ class Elastic:
         batch.state_out += batch.dt > 0
 
 
+def test_a_push_is_momentum(dog):
+    before = dog.robots()["dog"]
+    mass = sum(body.mass for name, body in dog.bodies().items() if name.startswith("dog"))
+    momentum = lambda: sum(body.mass * body.velocity for name, body in dog.bodies().items() if name.startswith("dog"))
+    start = momentum()
+    dog.push("dog", [3.0, -1.0, 2.0], angular=[0.0, 0.1, 0.0])
+    np.testing.assert_allclose(momentum() - start, [3.0, -1.0, 2.0], atol=1e-9)
+    dog.push("dog/FL_foot", [0.5, 0.0, 0.0])
+    np.testing.assert_allclose(momentum() - start, [3.5, -1.0, 2.0], atol=1e-9)
+    assert mass > 5.0 and not np.array_equal(dog.robots()["dog"].velocity, before.velocity)
+    with pytest.raises(barchan.BodyError, match="finite"):
+        dog.push("dog", [np.nan, 0, 0])
+    with pytest.raises(barchan.BodyError, match="cat"):
+        dog.push("cat", [1, 0, 0])
+    with pytest.raises(ValueError, match="x, y and z"):
+        dog.push("dog", [1, 0])
+
+
+def test_torques_of_motors_are_those_of_a_restored_state(dog):
+    dog.act("dog", joint_targets=np.tile([0.0, 0.8, -1.6], 4))
+    dog.advance(0.05)
+    state, torque = dog.state(), dog.robots()["dog"].joint_torque
+    dog.advance(0.06)
+    assert np.any(dog.robots()["dog"].joint_torque != torque)
+    dog.restore(state)
+    np.testing.assert_array_equal(dog.robots()["dog"].joint_torque, torque)
+
+
 def test_materials_may_be_written_in_python(press):
     assert barchan.add_material(Elastic()) == "elastic_in_python"
     described = barchan.registry()["materials"]["elastic_in_python"]
@@ -149,6 +178,8 @@ def test_materials_may_be_written_in_python(press):
     assert built_in.velocity.min() < -0.1 and both[0].wrenches()["plate"].force[2] > 1.0
     with pytest.raises(barchan.PluginError, match="registered twice"):
         barchan.add_material(Elastic())
+    with pytest.raises(TypeError, match=r"Elastic is a class; give an object of it, Elastic\(\)"):
+        barchan.add_material(Elastic)
 
 
 def test_what_a_material_in_python_raises_is_told(press):
@@ -536,3 +567,25 @@ def test_it_is_not_pickled_but_works_in_other_processes(press):
         pickle.dumps(barchan.Simulation(press))
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         assert pool.apply(count_steps, (press,)) == 2
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="there is no fork")
+@pytest.mark.filterwarnings("ignore:.*fork.*:DeprecationWarning")
+def test_a_forked_process_is_told_that_it_has_no_threads(press):
+    simulation = barchan.Simulation(press, threads=1)
+    with multiprocessing.get_context("fork").Pool(1, initializer=inherit, initargs=(simulation,)) as pool:
+        said = pool.apply_async(use_inherited).get(timeout=60)
+    assert "forked" in said and "spawn" in said
+    simulation.advance(0.002)
+
+
+def inherit(simulation):
+    global inherited
+    inherited = simulation
+
+
+def use_inherited():
+    try:
+        inherited.particles()
+    except barchan.BusyError as error:
+        return str(error)

@@ -22,10 +22,27 @@ mod recording;
 pub use recording::Recording;
 
 use crate::worlds::Worlds;
+use barchan_core::parameter::Table;
 use barchan_core::task::{Episode, Limits, Outcome, Seen, Watch};
-use barchan_core::{Error, Options, Registry, Result, Simulation, State, Task};
+use barchan_core::{Error, Options, Registry, Result, Scene, Simulation, State, Task};
 use std::fmt;
 use std::time::{Duration, Instant};
+
+/// A fresh task: of that name, in its own scene; or that which a scene of one's own asks for, if `name` is the path of a `.toml` file, with `parameters` in place of
+/// those of its `[task]`.
+///
+/// # Errors
+/// Those of [`Registry::task`], or of [`Scene::from_file`] and [`Registry::task_of`].
+pub fn task(registry: &Registry, name: &str, parameters: &Table) -> Result<Box<dyn Task>> {
+    if !name.ends_with(".toml") {
+        return registry.task(name, parameters);
+    }
+    let mut scene = Scene::from_file(name)?;
+    if let Some(spec) = &mut scene.task {
+        spec.parameters.extend(parameters.clone());
+    }
+    registry.task_of(&scene)
+}
 
 /// Worlds of one task.
 ///

@@ -97,7 +97,8 @@ impl Values {
             Self::F32(_) => ["<f4", "float", "Float32"],
             // PLY has no 64-bit integers.
             Self::U64(_) => ["<u8", "uint", "UInt64"],
-            Self::U16(_) => ["<u2", "ushort", "UInt16"],
+            // meshio knows PLY's short integers by another name only.
+            Self::U16(_) => ["<u2", "uint", "UInt16"],
         };
         Kind { numpy, ply, vtk }
     }

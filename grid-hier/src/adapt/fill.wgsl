@@ -6,7 +6,8 @@ fn fill(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
     let b = group.y * extent.row + group.x;
     let exists = b < atomicLoad(&status[BLOCKS]);
     if exists {
-        let per_cell = ldexp(1.0 / (H * H * H), -3 * i32(level_of(u32(lists[b * ENTRY].w))));
+        let h = extent.world.cell;
+        let per_cell = ldexp(1.0 / (h * h * h), -3 * i32(level_of(u32(lists[b * ENTRY].w))));
         var part = 0.0;
         let count = cells[b * 64u + n + 1u] - cells[b * 64u + n];
         for (var rank = 0u; rank < count; rank++) {

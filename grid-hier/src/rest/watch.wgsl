@@ -115,7 +115,7 @@ fn watch_blocks(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocati
     }
     // What its particles weigh, and how they move, in the order of threads.
     let is_stopped = workgroupUniformLoad(&stop) != 0u;
-    let width = H / shrink_of(u32(lists[b * ENTRY].w));
+    let width = extent.world.cell / shrink_of(u32(lists[b * ENTRY].w));
     let quarter = 0.25 * width * width;
     var mass = 0.0;
     var motion = vec4<f32>(0.0);

@@ -58,7 +58,7 @@ fn carry(q: u32, b: u32) -> u32 {
     var by_y = vec3<f32>(0.0);
     var by_z = vec3<f32>(0.0);
     unrolled_gather();
-    let per_cell = PER_CELL * shrink_of(layer_now);
+    let per_cell = extent.world.per_cell * shrink_of(layer_now);
     // From the distance of each node from the middle one to that from the particle.
     let c = mat3x3<f32>((by_x + (0.5 - f.x) * v) * per_cell, (by_y + (0.5 - f.y) * v) * per_cell, (by_z + (0.5 - f.z) * v) * per_cell);
     set_record(q, 2u, bitcast<vec4<u32>>(vec4<f32>(v.x, c[0].x, c[1].x, c[2].x)));

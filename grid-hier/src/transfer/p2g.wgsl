@@ -308,7 +308,7 @@ fn p2g(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index)
     }
     layer_now = layer_of_block(here);
     // Cell width [m], and -4 dt / h.
-    let width = H / shrink_of(layer_now);
+    let width = extent.world.cell / shrink_of(layer_now);
     var stress = step.stress * shrink_of(layer_now) * steps_of(layer_now);
     var gravity = step.gravity * steps_of(layer_now);
     @if(subcycled)

@@ -4,7 +4,7 @@
 // The thread's cell has so many particles.
 fn sum_parent_cells(b: u32, thread: u32, count: u32) {
     let cell = thread & 63u;
-    let width = H / shrink_of(layer_now);
+    let width = extent.world.cell / shrink_of(layer_now);
     var sums: array<vec2<f32>, 3>;
     // One half of the threads takes the first two rows, the other one the last, and mass. Those that stand together are asked for at once.
     let is_first = thread < 64u;

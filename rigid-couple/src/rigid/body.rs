@@ -238,6 +238,17 @@ impl Body {
         }
     }
 
+    /// Takes up an impulse [N s] and an angular impulse [N m s], as far as it answers them.
+    pub(super) fn gain(&mut self, [impulse, angular]: [DVec3; 2]) {
+        if let Some(answering) = self.answering() {
+            self.state.twist.linear += answering.gains(impulse);
+        }
+        if self.is_free() {
+            self.state.angular_momentum += angular;
+            self.state.twist.angular = self.spin(&self.state.pose);
+        }
+    }
+
     /// Its mass [kg] and its inertia about the centre of mass, body frame [kg m²], if it is free.
     pub(crate) fn free(&self) -> Option<(f64, DMat3)> {
         match self.mover {

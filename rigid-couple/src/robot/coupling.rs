@@ -239,6 +239,13 @@ impl Robot {
             }
         };
         let count = self.model.drives.len();
+        if holds && count > 0 && self.gains.iter().all(|gains| gains.kp == 0.0 && gains.kd == 0.0) {
+            let what = "no motor of it has gains, so that joint targets move nothing";
+            return Err(Refusal::new(
+                what,
+                "give the robot a [[robot.motor]] with kp and kd in the scene, or give joint torques",
+            ));
+        }
         let mend = "give a finite number for each of its joints";
         if numbers.len() != count {
             return Err(Refusal::new(format!("there are {} numbers for its {count} joints", numbers.len()), mend));
@@ -463,14 +470,14 @@ impl Coupling for Robots {
 
     fn joints(&self) -> Vec<JointState> {
         let of_robot = |robot: &Robot| -> Vec<JointState> {
-            let first = robot.base_rates();
+            let (first, torques) = (robot.base_rates(), robot.motor_torques());
             let joint = |(d, drive): (usize, &super::model::Drive)| JointState {
                 body: robot.name.clone(),
                 name: drive.name.clone(),
                 turns: drive.turns,
                 position: robot.state.positions[d],
                 rate: robot.step.rates[first + d],
-                torque: robot.motor_torque(d),
+                torque: torques[d],
             };
             robot.model.drives.iter().enumerate().map(joint).collect()
         };
@@ -767,6 +774,17 @@ impl Coupling for Robots {
 
     fn act(&mut self, body: &str, command: &Command) -> Result<()> {
         let path = format!("robot '{body}'");
+        if let &Command::Impulse { linear, angular } = command {
+            // A robot itself is its base.
+            let body_of = |robot: &Robot| {
+                (0..robot.solids.len()).find(|i| robot.body_name(*i) == body || (*i == 0 && robot.name == body))
+            };
+            let hit = self.robots.iter_mut().find_map(|robot| body_of(robot).map(|i| (robot, i)));
+            let Some((robot, i)) = hit else {
+                return Err(Refusal::new("there is no such body", "push a robot, a link or a free tool").at(&path));
+            };
+            return robot.take_blow(i, linear, angular).map_err(|refusal| refusal.at(&robot.path()));
+        }
         let of_robots = self.robots.iter().filter(|robot| !robot.is_tool);
         let names: Vec<String> = of_robots.map(|robot| robot.name.clone()).collect();
         match self.robots.iter_mut().find(|robot| robot.name == body) {
@@ -789,7 +807,8 @@ impl Coupling for Robots {
             .iter()
             .flat_map(|robot| robot.model.warnings.iter().map(|w| format!("robot '{}': {w}", robot.name)));
         let mut warnings: Vec<String> = of_models.chain(self.overlaps()).collect();
-        for robot in &self.robots {
+        warnings.extend(self.robots.iter().filter_map(Robot::heavy_rotors));
+        for robot in self.robots.iter().filter(|_| self.scene.has_ground()) {
             let ends =
                 || robot.ends().filter_map(|body| Some((body, robot.model.links[robot.solids[body]].shape.as_ref()?)));
             if robot.is_tool {

@@ -273,7 +273,6 @@ impl Robot {
             return None;
         }
         self.sense_on_device();
-        let leaning = self.leaning();
         let real = |bits: u32| f64::from(f32::from_bits(bits));
         let vector = |word: [u32; 4]| DVec3::new(real(word[0]), real(word[1]), real(word[2]));
         let number = |word: &[u32; 4]| f64::from(word[0] as i32) + f64::from(word[1]) / PARTS;
@@ -301,9 +300,6 @@ impl Robot {
         self.state.held = Some(held);
         self.correct_held()?;
         self.sense_end(dt);
-        let mut orders = self.state.orders.clone().unwrap_or_else(|| self.path.orders(self.state.clock, 0.0));
-        self.balance_orders(leaning, &mut orders);
-        self.step.orders = orders;
         let is_finite = self.state.base.position.is_finite()
             && self.state.base.rotation.is_finite()
             && self.state.positions.iter().chain(&self.state.rates).all(|x| x.is_finite());

@@ -192,6 +192,16 @@ fn mesh_distance_far_away_is_extrapolated() {
 
 #[test]
 fn meshes_that_are_no_solid_are_refused() {
+    // What a sweep leaves beside where it began is joined, and a hole is none of that.
+    let beside = |by: f64| {
+        let mut corners = box_mesh(DVec3::splat(0.5));
+        let x = corners[0][0];
+        corners[0][0] = x + DVec3::new(0.0, by, 0.0);
+        TriangleMesh::new(corners)
+    };
+    assert!(beside(7e-18).is_ok() && beside(1e-8).is_ok());
+    assert!(beside(1e-3).unwrap_err().what.contains("not closed"));
+
     // B50: an open or inverted mesh has no inside; a simulation with it would leak or push inwards, so the reason and the edge
     // are told.
     let good = box_mesh(DVec3::ONE);

@@ -42,7 +42,7 @@ fn contact(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_in
         return;
     }
     layer_now = workgroupUniformLoad(&layer);
-    let width = H / shrink_of(layer_now);
+    let width = extent.world.cell / shrink_of(layer_now);
     let own_first = lists[(extent.block_room + g) * ENTRY].xyz * 4;
     for (var b = n; b < BODIES; b += 64u) {
         let at = body_at(b);

@@ -83,7 +83,7 @@ fn press(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_inde
 
 // How particles, which have drifted from their cells by at most `drift` [cells], press on one body at the nodes of the block.
 fn press_on(b: u32, g: u32, entry: u32, drift: f32, thread: u32) {
-    let width = H / shrink_of(layer_now);
+    let width = extent.world.cell / shrink_of(layer_now);
     let own_first = lists[entry].xyz * 4;
     // Cells by whose particles the block's nodes may be reached: a cell around it, and one more if they may have drifted by half of one. And how far from the
     // middle of a cell the end of a particle may be, which stands in its corner and has drifted.

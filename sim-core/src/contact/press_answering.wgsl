@@ -43,7 +43,7 @@ fn may_be_near(b: u32, first: vec3<i32>) -> bool {
 // May a node of the block be within reach of its surface? Boxes of long bodies that lean are mostly empty. The block's nodes are within 2.6 cells of its
 // middle.
 fn is_within_reach(body: PressedBody, first: vec3<i32>) -> bool {
-    let width = H / shrink_of(layer_now);
+    let width = extent.world.cell / shrink_of(layer_now);
     let arm = (vec3<f32>(first + vec3<i32>(2) - body.cell) - body.place) * width;
     let middle = arm.x * body.rows[0] + arm.y * body.rows[1] + arm.z * body.rows[2];
     return coupling_distance(body.number, middle, width) <= (REACH + 3.0) * width;
@@ -76,7 +76,7 @@ fn put_pressed(b: u32, body: PressedBody, g: u32, first: vec3<i32>, n: u32, forc
     if room >= rooms_of(k).y || any(cell < body.least) || any(cell > body.most) || is_behind(layer_now, cell) {
         return;
     }
-    let width = H / shrink_of(layer_now);
+    let width = extent.world.cell / shrink_of(layer_now);
     let rows = body.rows;
     let arm = (vec3<f32>(cell - body.cell) - body.place + vec3<f32>(0.5)) * width;
     let press = force * (step.dt * steps_of(layer_now));

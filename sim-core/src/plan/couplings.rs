@@ -53,7 +53,7 @@ pub(super) fn make_couplings(registry: &Registry, scene: &Scene) -> Result<Coupl
     let has_own = |kind: &str| scene.coupling.iter().any(|spec| spec.kind == kind);
     let implied = |path: &str, kind: &'static str| Call { path: path.to_owned(), kind, name: kind, parameters: &none };
     let tools = (!scene.tool.is_empty() && !has_own(TOOL_COUPLING)).then(|| implied("tool", TOOL_COUPLING));
-    let robots = (!scene.robot.is_empty() && !has_own(ROBOT_COUPLING)).then(|| implied("robot", ROBOT_COUPLING));
+    let robots = (scene.has_robots() && !has_own(ROBOT_COUPLING)).then(|| implied("robot", ROBOT_COUPLING));
     let mut couplings = Couplings::default();
     let mut bodies = BTreeMap::new();
     for call in tools.into_iter().chain(robots).chain(entries) {
@@ -64,7 +64,7 @@ pub(super) fn make_couplings(registry: &Registry, scene: &Scene) -> Result<Coupl
         let whose = format!("coupling '{kind_name}'");
         let parameters = scene.resolve(whose, &kind.parameters, parameters, &path_of_parameters)?;
         let no_tools = scene.tools_apart().next().is_none();
-        let has_none = [(TOOL_COUPLING, no_tools), (ROBOT_COUPLING, scene.robot.is_empty())];
+        let has_none = [(TOOL_COUPLING, no_tools), (ROBOT_COUPLING, !scene.has_robots())];
         if has_none.contains(&(kind_name, true)) {
             continue;
         }

@@ -50,6 +50,12 @@ impl Plan {
                 "level {level}: where it has the surface, the ground is {cells:.2} cells of {width} m deep, and fewer than {LEAST_DEPTH} neither bear nor flow as deep ground does; {fewer}set world.cell to {finer} or less"
             ));
         }
+        if self.cell_widths.len() > 1 && self.agents.is_empty() && !self.materials.is_empty() {
+            warnings.push(format!(
+                "levels: nothing moves, and neither levels.agents nor levels.box names what is to have fine cells, so that all cells are {} m wide; name it, or leave levels out",
+                self.cell_widths[self.cell_widths.len() - 1]
+            ));
+        }
         warnings.extend(self.near_rims(couplings));
         warnings.extend(self.steeper_than_repose());
         warnings.extend(self.probes_beyond());

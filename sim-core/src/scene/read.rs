@@ -273,6 +273,9 @@ fn explain(error: &serde_path_to_error::Error<toml::de::Error>, source: &Source)
     } else if message.starts_with("invalid type: unit variant") {
         let mend = "a choice that has keys of its own is written `{ NAME = { KEY = … } }`, one that has none `\"NAME\"`; `barchan schema` has them all";
         (path, "its choice is written otherwise".to_owned(), mend.to_owned())
+    } else if message.starts_with("invalid type: map, expected a sequence") {
+        let mend = format!("write [[{path}]] in place of [{path}], or [{{ … }}] in place of {{ … }}");
+        (path, "there may be several, so it is a list".to_owned(), mend)
     } else if message.starts_with("wanted exactly 1 element") {
         let what = if message.contains("0 elements") {
             "none of its choices is given"

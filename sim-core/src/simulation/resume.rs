@@ -223,7 +223,12 @@ impl Simulation {
 
     /// In what the scene and the number format of a state are others than ours.
     fn differs(&self, state: &State) -> Option<String> {
-        if Arc::ptr_eq(&self.plan, &state.plan) { None } else { self.differs_as(state, &state.plan.scene) }
+        if Arc::ptr_eq(&self.plan, &state.plan) {
+            return None;
+        }
+        // What is more than a seed is told first.
+        let seeded = Scene { seed: self.plan.scene.seed, ..state.plan.scene.clone() };
+        self.differs_as(state, &seeded).or_else(|| self.differs_as(state, &state.plan.scene))
     }
 
     /// The same, were the state one of `scene`.

@@ -207,3 +207,24 @@ fn a_recorded_episode_is_played_again() {
     let error = Recording::read(&file).unwrap_err().to_string();
     assert!(error.contains("episode.json") && error.contains("invalid type"), "{error}");
 }
+
+/// A scene of one's own may be played by the path of its file; parameters take the place of those of its task, and an episode's file finds it again.
+#[test]
+fn a_scene_of_ones_own_is_played_by_its_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let file = folder.path().join("heap.toml");
+    std::fs::write(&file, SCENE).unwrap();
+    let (registry, path, options) = (barchan::registry(), file.to_str().unwrap(), Options::default());
+    let own = barchan::environment::task(&registry, path, &Table::new()).unwrap();
+    assert_eq!(own.scene(0).unwrap().name, Scene::from_file(&file).unwrap().name);
+    let both = Table::from_iter([("observation".to_owned(), Given::String("both".to_owned()))]);
+    let seen = |task: Box<dyn barchan::Task>| task.observations().iter().map(|part| part.size).sum::<usize>();
+    assert!(seen(barchan::environment::task(&registry, path, &both).unwrap()) > seen(own));
+    let recording = Recording { task: path.to_owned(), seed: 3, ..Recording::default() };
+    let mut played = recording.environment(&registry, &options).unwrap();
+    let mut by_hand = start(&[3], &options);
+    let one = |environment: &mut Environment| environment.step(&[action(3, 0)]).unwrap().remove(0).unwrap();
+    assert_eq!(one(&mut played), one(&mut by_hand));
+    let error = barchan::environment::task(&registry, "there/is/none.toml", &both).unwrap_err().to_string();
+    assert!(error.contains("none.toml"), "{error}");
+}

@@ -95,7 +95,7 @@ fn walks_are_rewarded_for_keeping_up_with_the_target() {
     }
 }
 
-/// What is left of an episode counts as if the robot lay where it fell: Σ 5 − 0.02 k over k = 1 to 500 is −5.
+/// What is left of an episode counts as if the robot lay where it started: Σ 5 − 0.02 k over k = 1 to 500 is −5. A leap that ends in a fall gains what it gains before that.
 #[test]
 fn a_fall_ends_an_episode_and_gains_nothing() {
     let upside_down = "rotation = [0.0, 1.0, 0.0, 0.0]";
@@ -104,6 +104,12 @@ fn a_fall_ends_an_episode_and_gains_nothing() {
     let fallen = step(&mut world, action);
     assert!(fallen.terminated && !fallen.success);
     close("quadruped", fallen.reward, 500.0 * 5.0 - 0.02 * 500.0 * 501.0 / 2.0);
+    let mut world = in_space("QuadrupedWalk", "quadruped", &format!("{upside_down}\nvelocity = [3.0, 0.0, 0.0]"));
+    let action = still(&world);
+    let fallen = step(&mut world, action);
+    assert!(fallen.terminated && info(&fallen, "distance walked [m]") > 0.05);
+    // It is ahead of its target by 0.04 m in one step, where it was behind by 0.02 m.
+    close("leaping quadruped", fallen.reward, 500.0 * 5.0 - 0.02 * 500.0 * 501.0 / 2.0 + 0.02 - 0.04);
     // What is left of standing is worth nothing; a walk that has failed counts a head on the ground, 1 m low, in 499 steps.
     let mut world = in_space("HumanoidStand", "humanoid", upside_down);
     let action = still(&world);

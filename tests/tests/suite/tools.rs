@@ -1,8 +1,9 @@
 //! Tools that come and go, and tools that a force pushes.
 
-use barchan::{Options, Precision, Scene, Simulation};
+use barchan::{Command, Options, Precision, Scene, Simulation};
 use barchan_tests::scenes::{everywhere, left, minus, norm, options, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, damped, half, material, tool};
+use glam::DVec3;
 
 const CELL: f64 = 0.02;
 const FRICTION: &str = "{ coulomb = { friction = 0.3 } }";
@@ -275,4 +276,40 @@ fn walls_that_move_feel_the_active_and_the_passive_pressure() {
     let [pushed, yielding] = mean(0.5, 0.8);
     within("passive pressure", (pushed / passive - 1.0).abs(), 0.08);
     within("active pressure", (yielding * passive - 1.0).abs(), 0.08);
+}
+
+/// A blow is momentum, once: a free tool has it at once and keeps it, on every backend, alone or beside another tool; what is driven takes none.
+#[test]
+fn a_blow_is_momentum() {
+    let cube = |name: &str, x: f64, motion: &str| tool(name, [x, 0.0, 0.0], &half([0.1; 3]), "\"slip\"", motion);
+    let free = "{ free = { mass = 2, linear = [0.5, 0, 0] } }";
+    for options in everywhere() {
+        for others in [vec![], vec![cube("driven", 2.0, "{ velocity = {} }")]] {
+            let parts = [vec![cube("box", 0.0, free)], others].concat();
+            let mut s = start(&Head::space(0.1).time("step = 1e-3").with(&parts), &options);
+            let steps = |s: &mut Simulation| (0..50).for_each(|_| drop(s.step().unwrap()));
+            steps(&mut s);
+            let (linear, angular) = ([0.4, -0.2, 0.6], [0.01, 0.02, -0.03]);
+            s.act("box", &Command::Impulse { linear, angular }).unwrap();
+            let wanted = [0.5 + 0.2, -0.1, 0.3];
+            for when in ["at once", "after 50 steps"] {
+                let body = s.bodies().into_iter().find(|body| body.name == "box").unwrap();
+                let what = format!("{} {}, {when}: velocity off by [m/s]", options.backend, options.precision);
+                within(&what, norm(minus(body.velocity, wanted)), 1e-6);
+                let [x, p, about] = [body.position, body.momentum, body.angular_momentum].map(DVec3::from_array);
+                within(
+                    "and angular momentum [N m s]",
+                    (about - x.cross(p) - DVec3::from_array(angular)).length(),
+                    1e-6,
+                );
+                steps(&mut s);
+            }
+            if parts.len() > 1 {
+                let error = s.act("driven", &Command::Impulse { linear, angular }).unwrap_err().to_string();
+                assert!(error.contains("tool 'driven'") && error.contains("as it is told"), "{error}");
+            }
+            let nan = Command::Impulse { linear: [f64::NAN, 0.0, 0.0], angular };
+            assert!(s.act("box", &nan).unwrap_err().to_string().contains("finite"));
+        }
+    }
 }

@@ -143,9 +143,25 @@ pub(crate) fn answering_bytes(room: Answering, worlds: usize, levels: usize) -> 
     16 * (of_groups + of_bodies + systems) as u64
 }
 
+/// `World` of `common.wgsl`.
+#[repr(C)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
+pub(crate) struct WorldCells {
+    pub(crate) min: [i32; 3],
+    pub(crate) cell: f32,
+    pub(crate) max: [i32; 3],
+    pub(crate) per_cell: f32,
+    pub(crate) side_low: [i32; 4],
+    pub(crate) side_high: [i32; 4],
+    pub(crate) side_low_part: [u32; 4],
+    pub(crate) side_high_part: [u32; 4],
+    pub(crate) period_min: [i32; 4],
+    pub(crate) period: [i32; 4],
+}
+
 /// `Extent` of `common.wgsl`.
 #[repr(C)]
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Pod, Zeroable)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Pod, Zeroable)]
 pub(crate) struct Extent {
     pub(crate) slots: u32,
     pub(crate) particles: u32,
@@ -154,7 +170,8 @@ pub(crate) struct Extent {
     pub(crate) row: u32,
     pub(crate) places: u32,
     pub(crate) giver_room: u32,
-    pub(crate) pad: u32,
+    pub(crate) rooms: u32,
+    pub(crate) world: WorldCells,
 }
 
 /// `Layer` of `common.wgsl`.
@@ -673,7 +690,7 @@ impl Memory {
 
     /// Makes room for `extent`, keeping particles and blocks. What the grid holds is lost, and so are the links of blocks: a sort must follow.
     pub(crate) fn grow(&mut self, gpu: &Gpu, extent: Extent) -> Result<()> {
-        let extent = Extent { row: ROW, ..extent };
+        let extent = Extent { row: ROW, rooms: self.asked.answering.rooms as u32, ..extent };
         extent.check(gpu, self.particles, self.asked)?;
         let storage = |label: &'static str, size: u64| storage(gpu, label, size);
         let mut encoder = gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default());

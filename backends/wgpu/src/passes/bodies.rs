@@ -171,8 +171,8 @@ pub(crate) fn press_answering_draft(laws: &Laws, counts: [usize; 2], shape: [usi
 fn answering_counts(room: Answering, laws: &Laws) -> String {
     format!(
         "const GROUPS: u32 = {}u;\nconst ANSWERING: u32 = {}u;\nconst GROUP_BODIES: u32 = {}u;\nconst GROUP_WORDS: u32 = {}u;\nconst GROUP_TOLD: u32 = {}u;\n\
-         const GROUP_RATES: u32 = {}u;\nconst ROOMS: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\nconst REACH: f32 = {:?};\n",
-        room.groups, room.bodies, room.together, room.words, room.told, room.rates, room.rooms, laws.reach,
+         const GROUP_RATES: u32 = {}u;\nconst MAX_SLOTS: u32 = {MAX_SLOTS}u;\nconst REACH: f32 = {:?};\n",
+        room.groups, room.bodies, room.together, room.words, room.told, room.rates, laws.reach,
     )
 }
 

@@ -1,7 +1,7 @@
 //! What a scene fixes for all passes, as WGSL.
 
 use crate::device::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER, vectors_for};
-use crate::device::memory::{MAX_STEPS, is_stored};
+use crate::device::memory::{MAX_STEPS, WorldCells, is_stored};
 use crate::passes::bodies::RIMS_BESIDE;
 use crate::passes::laws::is_asked_on_device;
 use crate::passes::since_sort::most_drift;
@@ -72,7 +72,7 @@ pub(crate) fn has_mirrors(plan: &Plan) -> bool {
 /// particles, and where, on levels, no step is halted any more once the grid update has come. If a body comes near walls after all, another pass does it again.
 pub(crate) fn mirrors_early(plan: &Plan) -> bool {
     let fits = if plan.cell_widths.len() > 1 {
-        plan.substeps > 1 && plan.scene.robot.is_empty() && plan.scene.tool.iter().all(Tool::answers)
+        plan.substeps > 1 && !plan.scene.has_robots() && plan.scene.tool.iter().all(Tool::answers)
     } else {
         !plan.has(Stage::CONTACT)
     };
@@ -113,6 +113,29 @@ pub(crate) fn layer_constants(plan: &Plan, worlds: usize) -> String {
     )
 }
 
+/// Where the world ends.
+pub(crate) fn world_cells(plan: &Plan) -> WorldCells {
+    let (min, max, cell) = (plan.cell_min, plan.cell_max, plan.cell_widths[0] as f32);
+    let bounds = Bounds::new(plan, 0);
+    let padded = |of: &dyn Fn(usize) -> i32| [of(0), of(1), of(2), 0];
+    let parts = |end: usize| {
+        let part = |d: usize| (bounds.sides[d][end].1 * (1_u64 << 32) as f64) as u32;
+        [part(0), part(1), part(2), 0]
+    };
+    WorldCells {
+        min,
+        cell,
+        max,
+        per_cell: 4.0 / cell,
+        side_low: padded(&|d| bounds.sides[d][0].0),
+        side_high: padded(&|d| bounds.sides[d][1].0),
+        side_low_part: parts(0),
+        side_high_part: parts(1),
+        period_min: padded(&|d| min[d].div_euclid(4)),
+        period: padded(&|d| if plan.scene.world.is_periodic(d) { (max[d] - min[d]) / 4 } else { 0 }),
+    }
+}
+
 /// What the scene fixes.
 pub(crate) fn constants(plan: &Plan) -> String {
     let walls = [0, 1, 2].map(|axis| plan.scene.world.walls.pair(axis));
@@ -125,14 +148,7 @@ pub(crate) fn constants(plan: &Plan) -> String {
         Wall::Separate { friction } => friction as f32,
         _ => -1.0,
     };
-    let (min, max) = (plan.cell_min, plan.cell_max);
-    let periodic = |d: usize| walls[d][0] == Wall::Periodic;
-    let ints = |name: &str, v: [i32; 3]| format!("const {name} = vec3<i32>({}, {}, {});\n", v[0], v[1], v[2]);
-    let bounds = Bounds::new(plan, 0);
-    let counts = |name: &str, parts: [f64; 3]| {
-        let [x, y, z] = parts.map(|part| (part * (1_u64 << 32) as f64) as u32);
-        format!("const {name} = vec3<u32>({x}u, {y}u, {z}u);\n")
-    };
+    let flags = |name: &str, v: [bool; 3]| format!("const {name} = vec3<bool>({}, {}, {});\n", v[0], v[1], v[2]);
     let kinds = |name: &str, end: usize| {
         let k = walls.map(|axis| kind(axis[end]));
         format!("const {name} = vec3<u32>({}u, {}u, {}u);\n", k[0], k[1], k[2])
@@ -141,27 +157,18 @@ pub(crate) fn constants(plan: &Plan) -> String {
         let f = walls.map(|axis| friction(axis[end]));
         format!("const {name} = vec3<f32>({:?}, {:?}, {:?});\n", f[0], f[1], f[2])
     };
-    let any_wall = |name: &str, end: usize| {
-        let w = walls.map(|axis| axis[end].is_wall());
-        format!("const {name} = vec3<bool>({}, {}, {});\n", w[0], w[1], w[2])
-    };
-    let h = plan.cell_widths[0] as f32;
+    let coarsest = plan.cell_widths.len() - 1;
+    let is_narrow = |d: usize| (plan.cell_max[d] - plan.cell_min[d]) >> coarsest < 4;
     [
-        ints("WORLD_MIN", min),
-        ints("WORLD_MAX", max),
-        ints("SIDE_LOW", bounds.sides.map(|side| side[0].0)),
-        ints("SIDE_HIGH", bounds.sides.map(|side| side[1].0)),
-        counts("SIDE_LOW_PART", bounds.sides.map(|side| side[0].1)),
-        counts("SIDE_HIGH_PART", bounds.sides.map(|side| side[1].1)),
-        ints("PERIOD_MIN", min.map(|c| c.div_euclid(4))),
-        ints("PERIOD", std::array::from_fn(|d| if periodic(d) { (max[d] - min[d]) / 4 } else { 0 })),
+        flags("IS_PERIODIC", [0, 1, 2].map(|d| plan.scene.world.is_periodic(d))),
+        // Across a world narrower than a tile's own cells on the coarsest level, both walls fold onto the same nodes.
+        flags("IS_NARROW", [0, 1, 2].map(is_narrow)),
         kinds("LOW", 0),
         kinds("HIGH", 1),
-        any_wall("HAS_LOW_WALL", 0),
-        any_wall("HAS_HIGH_WALL", 1),
+        flags("HAS_LOW_WALL", walls.map(|axis| axis[0].is_wall())),
+        flags("HAS_HIGH_WALL", walls.map(|axis| axis[1].is_wall())),
         frictions("LOW_FRICTION", 0),
         frictions("HIGH_FRICTION", 1),
-        format!("const H: f32 = {h:?};\nconst PER_CELL: f32 = {:?};\n", 4.0 / h),
         format!("const NODE_MOVE: f32 = {NODE_MOVE:?};\nconst MAX_DEFORMATION: f32 = {MAX_DEFORMATION:?};\nconst MAX_PARTS: f32 = {MAX_PARTS:?};\n"),
         format!("const REST: u32 = {}u;\n", rest_vectors(&plan.materials)),
         format!("const GRAVITY_GROWS: bool = {};\n", plan.scene.gravity_ramp > 0.0),

@@ -1,22 +1,14 @@
 // For tests alone: what Rust writes before or into the text of passes, as a scene might have it, so that each file can be read without the others.
 
 // What a scene fixes: `scene.rs`.
-const WORLD_MIN = vec3<i32>(0, 0, 0);
-const WORLD_MAX = vec3<i32>(32, 16, 16);
-const SIDE_LOW = vec3<i32>(0, 0, 0);
-const SIDE_HIGH = vec3<i32>(32, 16, 16);
-const SIDE_LOW_PART = vec3<u32>(0u, 0u, 0u);
-const SIDE_HIGH_PART = vec3<u32>(0u, 0u, 0u);
-const PERIOD_MIN = vec3<i32>(0, 0, 0);
-const PERIOD = vec3<i32>(0, 4, 0);
+const IS_PERIODIC = vec3<bool>(false, true, false);
+const IS_NARROW = vec3<bool>(true, false, false);
 const LOW = vec3<u32>(1u, 0u, 2u);
 const HIGH = vec3<u32>(1u, 0u, 0u);
 const HAS_LOW_WALL = vec3<bool>(true, false, true);
 const HAS_HIGH_WALL = vec3<bool>(true, false, false);
 const LOW_FRICTION = vec3<f32>(0.4, -1.0, -1.0);
 const HIGH_FRICTION = vec3<f32>(-1.0, -1.0, -1.0);
-const H: f32 = 0.05;
-const PER_CELL: f32 = 80.0;
 const NODE_MOVE: f32 = 1.0;
 const MAX_DEFORMATION: f32 = 0.1;
 const MAX_PARTS: f32 = 8.0;
@@ -62,7 +54,6 @@ const GROUP_BODIES: u32 = 2u;
 const GROUP_WORDS: u32 = 8u;
 const GROUP_TOLD: u32 = 4u;
 const GROUP_RATES: u32 = 3u;
-const ROOMS: u32 = 8u;
 const MAX_SLOTS: u32 = 256u;
 const REACH: f32 = 1.5;
 const NEAR_TOOL: f32 = 2.0;

@@ -192,9 +192,7 @@ fn fold(axis: usize) -> String {
     let low = end("LOW", "least", "max(sum - 7, 0)", "(sum - 1) / 2");
     let high = end("HIGH", "end_node", "(sum + 1) / 2", "min(sum, 7)");
     // Across a world narrower than this, both walls fold onto the same planes.
-    let narrow = format!(
-        "if LOW.{d} != 0u && HIGH.{d} != 0u && ((WORLD_MAX.{d} - WORLD_MIN.{d}) >> (LEVELS - 1u)) < 4 {{\nworkgroupBarrier();\n}}\n"
-    );
+    let narrow = format!("if LOW.{d} != 0u && HIGH.{d} != 0u && IS_NARROW.{d} {{\nworkgroupBarrier();\n}}\n");
     format!("{{\nlet is_done = false{is_done};\n{low}{narrow}{high}}}\nworkgroupBarrier();\n")
 }
 

@@ -77,6 +77,7 @@ impl WgpuBatch {
             block_room: 64,
             node_room: 64,
             places: PLACES * (count * levels) as u32,
+            world: scene::world_cells(plan),
             ..Extent::default()
         };
         let particles = Particles { vectors: scene::rest_vectors(&plan.materials), parts: kernels.setting.parts };

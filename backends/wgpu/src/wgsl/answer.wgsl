@@ -131,7 +131,7 @@ fn last_level() -> u32 {
 // From a body's reference point to a node of a level [m].
 fn arm_of(pose: CouplingPose, x: vec3<i32>, level: u32, shrink: f32) -> vec3<f32> {
     let centre = vec3<f32>(0.5 / shrink) - place_of(vec4<u32>(pose.place, 0u));
-    return (vec3<f32>((x << vec3<u32>(level)) - pose.cell) + centre) * H;
+    return (vec3<f32>((x << vec3<u32>(level)) - pose.cell) + centre) * extent.world.cell;
 }
 
 // The number of the bit that so many bits stand below.

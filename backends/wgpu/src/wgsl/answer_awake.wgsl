@@ -2,7 +2,7 @@
     let first_layer = group_now / GROUPS * LEVELS;
     let first_box = 1u + 2u * ((slot_now() + 1u) * LAYERS + first_layer) * u32(tools[0].x);
     if first_box < arrayLength(&tools) {
-        let corners = coupling_box(head.x, rows_of(rotation_of(bitcast<vec4<u32>>(pose.rotation))), H);
+        let corners = coupling_box(head.x, rows_of(rotation_of(bitcast<vec4<u32>>(pose.rotation))), extent.world.cell);
         let within = place_of(vec4<u32>(pose.place, 0u));
         for (var level = 0u; level < LEVELS; level++) {
             let layer = first_layer + level;

@@ -65,17 +65,19 @@ fn rows_of(q: vec4<f32>) -> array<vec3<f32>, 3> {
 // Where `corner` [m] from a body is, in a level's cells from that which holds the body.
 fn in_level(cell: vec3<i32>, place: vec3<f32>, corner: vec3<f32>, level: u32, shrink: f32) -> vec3<f32> {
     let base = cell >> vec3<u32>(level);
-    return (vec3<f32>(cell - (base << vec3<u32>(level))) + place + corner / H) * shrink;
+    return (vec3<f32>(cell - (base << vec3<u32>(level))) + place + corner / extent.world.cell) * shrink;
 }
 
 // Behind all states there is room for touches, the nodes that a body grips on the level at hand: for each node TOUCH vectors, arm [m] and mass [kg], velocity [m/s]
-// and the node with, from bit 30 on, the kind of grip, normal and friction. Each block in a body's box has a room, of ROOMS for all bodies of a world.
+// and the node with, from bit 30 on, the kind of grip, normal and friction. Each block in a body's box has a room, of `extent.rooms` for all bodies of a world.
 const TOUCH: u32 = 3u;
 const TOUCHES: u32 = STATES + (MAX_SLOTS + 2u) * SLOT;
 
 // Behind these, how a body grips nodes, as the pass of pressing particles finds it, for each level, room and node of the block: the surface's normal, and the
 // greatest impulse [N s]; the normal is 0 where the node sticks, and the impulse has the sign - where it may not separate either.
-const GRIPPED: u32 = TOUCHES + WORLDS * ROOMS * TOUCH * 64u;
+fn gripped_from() -> u32 {
+    return TOUCHES + WORLDS * extent.rooms * TOUCH * 64u;
+}
 
 // A body's first room, and how many it has.
 fn rooms_of(body: u32) -> vec2<u32> {
@@ -85,26 +87,32 @@ fn rooms_of(body: u32) -> vec2<u32> {
 
 fn gripped_at(body: u32, level: u32, room: u32, n: u32) -> u32 {
     let own = rooms_of(body);
-    return GRIPPED + (own.x * LEVELS + level * own.y + room) * 64u + n;
+    return gripped_from() + (own.x * LEVELS + level * own.y + room) * 64u + n;
 }
 
 // Behind these, HELD_HEAD vectors for each level and room: the mark of the slot in which the body gripped nodes of the block there, the block's number, and which
 // nodes it grips, as bits; which of them are deep inside, as bits.
 const HELD_HEAD: u32 = 2u;
-const HELD: u32 = GRIPPED + WORLDS * LEVELS * ROOMS * 64u;
+
+fn held_from() -> u32 {
+    return gripped_from() + WORLDS * LEVELS * extent.rooms * 64u;
+}
 
 fn room_at(body: u32, level: u32, room: u32) -> u32 {
     let own = rooms_of(body);
-    return HELD + (own.x * LEVELS + level * own.y + room) * HELD_HEAD;
+    return held_from() + (own.x * LEVELS + level * own.y + room) * HELD_HEAD;
 }
 
 // Behind these, NEAR_HEAD vectors for each body and level: the mark of the slot in which it gripped a node, and how many blocks its box has
 // along each axis, in ten bits each; the first of these blocks.
 const NEAR_HEAD: u32 = 2u;
-const NEAR_BLOCKS: u32 = HELD + WORLDS * LEVELS * ROOMS * HELD_HEAD;
+
+fn near_from() -> u32 {
+    return held_from() + WORLDS * LEVELS * extent.rooms * HELD_HEAD;
+}
 
 fn near_at(body: u32, level: u32) -> u32 {
-    return NEAR_BLOCKS + (body * LEVELS + level) * NEAR_HEAD;
+    return near_from() + (body * LEVELS + level) * NEAR_HEAD;
 }
 
 // What tells the slot from all others, of other submissions, too.
@@ -113,11 +121,13 @@ fn slot_mark() -> u32 {
 }
 
 // Behind these, where groups have several bodies, what touches add up to for each, and once more for the group that is rehearsed.
-const SYSTEMS: u32 = NEAR_BLOCKS + ALL_ANSWERING * LEVELS * NEAR_HEAD;
+fn systems_from() -> u32 {
+    return near_from() + ALL_ANSWERING * LEVELS * NEAR_HEAD;
+}
 
 // The least and the greatest node of a level that a body may act on: those of its box, and REACH cells further.
 fn nodes_near(number: u32, rows: array<vec3<f32>, 3>, cell: vec3<i32>, place: vec3<f32>, level: u32, shrink: f32) -> array<vec3<i32>, 2> {
-    let corners = coupling_box(number, rows, H / shrink);
+    let corners = coupling_box(number, rows, extent.world.cell / shrink);
     let base = cell >> vec3<u32>(level);
     // Nodes stand at the centres of cells.
     let least = base + vec3<i32>(ceil(in_level(cell, place, corners[0], level, shrink) - 0.5 - REACH));

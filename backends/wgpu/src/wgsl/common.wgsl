@@ -1,4 +1,4 @@
-// What all passes share. Constants of the scene (H, WORLD_MIN, LOW, ...) stand before this text.
+// What all passes share. Constants of the scene (LOW, LEVELS, ...) stand before this text.
 //
 // Blocks are 4x4x4 cells; a block's tile is the 8x8x8 nodes from two before its first cell on. Particles are sorted by cell, block
 // by block; a particle's place is its offset in its cell, in 2^-32 cells, and a tag: the cell counted from two before the block's
@@ -8,6 +8,24 @@
 // What both transfers need of a particle are six vectors: place; V0 tau_xz, V0 tau_yz, V0 tau_zz [J] and mass; the rows (v_i, C_ij)
 // for i = x, y, z; V0 times tau_xx, tau_yy, tau_xy. Each is a plane of its own, so that neighbours which each write a particle write what
 // lies together.
+
+// Where the world ends: what differs between scenes and changes no text of a pass, so that a driver need not compile that anew for every size.
+struct World {
+    // The world in finest cells: the first one, and one past the last; how wide they are [m].
+    min: vec3<i32>,
+    cell: f32,
+    max: vec3<i32>,
+    // Four over that width [1/m].
+    per_cell: f32,
+    // Where its sides are: cells, and parts of them in 2^-32. Open sides may cut cells.
+    side_low: vec3<i32>,
+    side_high: vec3<i32>,
+    side_low_part: vec3<u32>,
+    side_high_part: vec3<u32>,
+    // Along periodic axes the first block, and how many there are; 0 along others.
+    period_min: vec3<i32>,
+    period: vec3<i32>,
+}
 
 struct Extent {
     // Room for particles in each plane, and particles.
@@ -22,6 +40,9 @@ struct Extent {
     places: u32,
     // Room for tiles without forces.
     giver_room: u32,
+    // Blocks in boxes around all bodies of a world that answer the ground.
+    rooms: u32,
+    world: World,
 }
 
 // A layer is one grid: that of one level of one world; a world's layers stand together, finest first, and each has cells twice as wide
@@ -264,20 +285,20 @@ fn steps_of(layer: u32) -> f32 {
 
 // The world in a layer's cells: the first one, and one past the last.
 fn world_min(layer: u32) -> vec3<i32> {
-    return WORLD_MIN >> vec3<u32>(level_of(layer));
+    return extent.world.min >> vec3<u32>(level_of(layer));
 }
 
 fn world_max(layer: u32) -> vec3<i32> {
-    return ((WORLD_MAX - vec3<i32>(1)) >> vec3<u32>(level_of(layer))) + vec3<i32>(1);
+    return ((extent.world.max - vec3<i32>(1)) >> vec3<u32>(level_of(layer))) + vec3<i32>(1);
 }
 
 // A layer's block brought into the world along periodic axes.
 fn wrapped(layer: u32, b: vec3<i32>) -> vec3<i32> {
     var block = b;
     for (var d = 0; d < 3; d++) {
-        if PERIOD[d] > 0 {
-            let first = PERIOD_MIN[d] >> level_of(layer);
-            let period = PERIOD[d] >> level_of(layer);
+        if IS_PERIODIC[d] {
+            let first = extent.world.period_min[d] >> level_of(layer);
+            let period = extent.world.period[d] >> level_of(layer);
             block[d] = first + (((block[d] - first) % period) + period) % period;
         }
     }
@@ -288,8 +309,8 @@ fn wrapped(layer: u32, b: vec3<i32>) -> vec3<i32> {
 fn image_near(layer: u32, first: vec3<i32>, to: vec3<i32>) -> vec3<i32> {
     var image = first;
     for (var d = 0; d < 3; d++) {
-        if PERIOD[d] > 0 {
-            let period = 4 * (PERIOD[d] >> level_of(layer));
+        if IS_PERIODIC[d] {
+            let period = 4 * (extent.world.period[d] >> level_of(layer));
             let off = 2 * (to[d] - first[d] - 2) + period;
             // Rounds down.
             let times = (off - (((off % (2 * period)) + 2 * period) % (2 * period))) / (2 * period);

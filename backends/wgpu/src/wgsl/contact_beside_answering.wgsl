@@ -33,7 +33,7 @@ fn distance_from(b: u32, first: vec3<i32>, n: u32) -> f32 {
     let base = cell >> vec3<u32>(level);
     let place = in_level(cell, place_of(answering[at + 1u]), vec3<f32>(0.0), level, shrink);
     let node = image_near(layer_now, first, base) + local_of(n);
-    let width = H / shrink;
+    let width = extent.world.cell / shrink;
     let arm = (vec3<f32>(node - base) - place + vec3<f32>(0.5)) * width;
     return coupling_distance(answering[body_head(k)].x, arm.x * rows[0] + arm.y * rows[1] + arm.z * rows[2], width);
 }

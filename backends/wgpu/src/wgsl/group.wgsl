@@ -101,7 +101,7 @@ fn group_dt() -> f32 {
 
 // The width of the finest cells [m].
 fn group_cell() -> f32 {
-    return H;
+    return extent.world.cell;
 }
 
 // What gravity adds to a velocity in the step [m/s].
@@ -245,7 +245,7 @@ fn sums_of(b: u32, column: u32) -> vec4<f32> {
 }
 
 fn sums_at(b: u32) -> u32 {
-    return SYSTEMS + select(answering_body(b), ALL_ANSWERING + b, rehearses) * COLUMNS;
+    return systems_from() + select(answering_body(b), ALL_ANSWERING + b, rehearses) * COLUMNS;
 }
 
 // Does it touch any node on the level at hand?

@@ -17,7 +17,8 @@ var<workgroup> shares: array<u32, MOST>;
 
 // The width of a particle that is a cube at rest [finest cells].
 fn side_of(q: u32) -> f32 {
-    let volume = rest_of(q, REST - 1u).w / (H * H * H);
+    let h = extent.world.cell;
+    let volume = rest_of(q, REST - 1u).w / (h * h * h);
     let side = pow(volume, 1.0 / 3.0);
     // Powers are less exact than roots.
     return side - (side - volume / (side * side)) / 3.0;

@@ -33,7 +33,7 @@ fn look(q: u32, b: u32, layer: u32, first: vec3<i32>) {
     if GRAVITY_GROWS {
         gravity *= bitcast<f32>(atomicLoad(&status[step_word(step.number, layer, GROWN)]));
     }
-    let grows = s.w * H / shrink_of(layer);
+    let grows = s.w * extent.world.cell / shrink_of(layer);
     var own = s.w * (vec3<f32>(r0.x, r1.x, r2.x) + gravity);
     var ax = grows * r0.yzw + stress * vec3<f32>(t.x, t.z, s.x);
     var ay = grows * r1.yzw + stress * vec3<f32>(t.z, t.y, s.y);

@@ -27,7 +27,7 @@ fn cover(table: u32, layer: u32, first: vec3<i32>, end: vec3<i32>, by: i32) -> u
     var most = select(end, max(end, low + vec3<i32>(1)), HAS_LOW_WALL);
     least = select(least, min(least, high - vec3<i32>(1)), HAS_HIGH_WALL);
     most = select(most, min(most, high), HAS_HIGH_WALL);
-    let is_periodic = PERIOD > vec3<i32>(0);
+    let is_periodic = IS_PERIODIC;
     // Beside a box itself, copies of it along periodic axes.
     let first_copy = select(13u, 0u, any(is_periodic));
     let end_copy = select(14u, 27u, any(is_periodic));

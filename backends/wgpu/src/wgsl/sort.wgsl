@@ -57,9 +57,10 @@ fn is_beyond(layer: u32, cell: vec3<i32>, counts: vec3<u32>) -> bool {
         fine += vec3<i32>(counts >> (vec3<u32>(32u) - level));
     }
     let part = counts << level;
-    let low = (fine < SIDE_LOW) | ((fine == SIDE_LOW) & (part < SIDE_LOW_PART));
-    let high = (fine > SIDE_HIGH) | ((fine == SIDE_HIGH) & (part >= SIDE_HIGH_PART));
-    return any((low | high) & (PERIOD == vec3<i32>(0)));
+    let world = extent.world;
+    let low = (fine < world.side_low) | ((fine == world.side_low) & (part < world.side_low_part));
+    let high = (fine > world.side_high) | ((fine == world.side_high) & (part >= world.side_high_part));
+    return any((low | high) & !IS_PERIODIC);
 }
 
 fn halted() -> bool {

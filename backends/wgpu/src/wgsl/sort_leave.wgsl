@@ -25,7 +25,7 @@ fn put_back(q: u32, layer: u32, block: vec3<i32>, local: ptr<function, vec3<i32>
     for (var d = 0u; d < 3u; d++) {
         let cell = 4 * block[d] + (*local)[d];
         let low = cell < first[d];
-        if PERIOD[d] == 0 && (low || cell > last[d]) {
+        if !IS_PERIODIC[d] && (low || cell > last[d]) {
             (*local)[d] = select(last[d], first[d], low) - 4 * block[d];
             p[d] = select(0xfffffe00u, 0u, low);
             var row = record_of(q, 2u + d);

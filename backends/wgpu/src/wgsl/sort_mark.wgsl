@@ -28,7 +28,7 @@ fn mark(@builtin(workgroup_id) group: vec3<u32>, @builtin(local_invocation_index
         @if(halts)
         let is_outside = due && is_beyond(layer, cell, record_of(q, 0u).xyz);
         @else
-        let is_outside = any(((cell < world_min(layer)) | (cell >= world_max(layer))) & (PERIOD == vec3<i32>(0)));
+        let is_outside = any(((cell < world_min(layer)) | (cell >= world_max(layer))) & !IS_PERIODIC);
         if is_outside {
             @if(halts) {
                 atomicMin(&status[WHO], q);

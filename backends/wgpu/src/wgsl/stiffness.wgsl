@@ -5,7 +5,7 @@ var<private> need_now: u32;
 
 // A particle of that mass and rest volume.
 fn need_of(s: Stiffness, mass: f32, volume: f32) -> u32 {
-    let per_h = shrink_of(layer_now) / H;
+    let per_h = shrink_of(layer_now) / extent.world.cell;
     let scale = volume / mass * per_h * per_h;
     let a = max(s.triple_bulk, s.p_wave) * scale;
     let half_v = 2.0 * s.viscosity * scale;

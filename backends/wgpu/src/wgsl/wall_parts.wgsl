@@ -17,8 +17,8 @@ fn forget() {
 fn see(layer: u32, wall: u32, cell: vec3<i32>, impulse: vec3<f32>) {
     var at = clamp(cell, world_min(layer), world_max(layer) - vec3<i32>(1));
     for (var d = 0u; d < 3u; d++) {
-        if PERIOD[d] > 0 {
-            let period = 4 * (PERIOD[d] >> level_of(layer));
+        if IS_PERIODIC[d] {
+            let period = 4 * (extent.world.period[d] >> level_of(layer));
             at[d] = world_min(layer)[d] + (((cell[d] - world_min(layer)[d]) % period) + period) % period;
         }
     }

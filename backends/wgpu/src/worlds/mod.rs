@@ -6,7 +6,7 @@ pub(crate) mod soft;
 pub(crate) mod stiffness;
 pub(crate) mod world;
 
-use crate::device::memory::Layer;
+use crate::device::memory::{Layer, WorldCells};
 use crate::device::{Gpu, lacks, layout};
 use crate::passes::couplings::Laws;
 use crate::passes::scene;
@@ -17,7 +17,7 @@ use barchan_grid::adapt::finest_volumes;
 /// What all worlds of a batch must have in common.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Fixed {
-    pub(crate) world: String,
+    pub(crate) world: (String, WorldCells),
     /// When it has grown [m/s²], and over what time it grows [s].
     pub(crate) gravity: (Vec3, f64),
     pub(crate) laws: Vec<(String, String, bool)>,
@@ -36,7 +36,7 @@ impl Fixed {
             (m.material.name.clone(), m.material.origin.clone(), m.damping.is_some())
         };
         Self {
-            world: scene::constants(plan),
+            world: (scene::constants(plan), scene::world_cells(plan)),
             gravity: (plan.scene.gravity, plan.scene.gravity_ramp),
             laws: plan.materials.iter().map(law).collect(),
             levels: (plan.cell_widths.len(), plan.substeps, scene::boxes(plan), scene::softs(plan)),

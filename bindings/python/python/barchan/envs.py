@@ -212,7 +212,7 @@ class TaskEnv(gymnasium.Env):
         return self._played.running()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        _check_seeds([seed])
+        [seed] = _checked_seeds([seed])
         super().reset(seed=seed)
         own = seed if seed is not None else self._played.next_seed(self._seed, self.np_random)
         observations = self._played.begin([own])
@@ -342,10 +342,14 @@ class TaskVectorEnv(VectorEnv):
         `options["stagger"] = True` truncates these episodes early, each world's at another time, so that worlds are at different times of their episodes from then on: what is
         seen of all of them in a few steps is then like what is seen in an episode.
         """
-        seeds = [None] * self.num_envs if seed is None else [int(seed) + w for w in range(self.num_envs)] if isinstance(seed, (int, np.integer)) else list(seed)
+        if seed is None or isinstance(seed, (int, np.integer)):
+            [first] = _checked_seeds([seed])
+            seeds = [None if first is None else first + w for w in range(self.num_envs)]
+        else:
+            seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed: there are {len(seeds)} of them for {self.num_envs} worlds")
-        _check_seeds(seeds)
+        seeds = _checked_seeds(seeds)
         mask = (options or {}).get("reset_mask")
         chosen = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)
         if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_ or not chosen.any():
@@ -492,10 +496,13 @@ def _check_render_mode(mode: str | None, known: list[str]) -> None:
         raise ValueError(f"render_mode: {mode!r} is none of {', '.join(map(repr, known))}, None")
 
 
-def _check_seeds(seeds: list[int | None]) -> None:
+def _checked_seeds(seeds: list[Any]) -> list[int | None]:
     for seed in seeds:
-        if seed is not None and not (isinstance(seed, (int, np.integer)) and 0 <= seed < 2**63):
+        is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
+        if seed is not None and not (is_whole and 0 <= seed < 2**63):
             raise ValueError(f"seed: {seed!r} is none; give whole numbers from 0 to 2^63 - 1")
+    # Gymnasium takes no whole numbers of NumPy's.
+    return [None if seed is None else int(seed) for seed in seeds]
 
 
 def _torch_device(torch: bool | str) -> str | None:

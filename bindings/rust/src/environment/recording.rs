@@ -11,7 +11,7 @@ use std::path::Path;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Recording {
-    /// The task.
+    /// The task: its name, or the path of a scene that asks for it.
     pub task: String,
     /// Its parameters; defaults are left out.
     #[serde(default)]
@@ -68,9 +68,9 @@ impl Recording {
     /// An environment at the start of the episode.
     ///
     /// # Errors
-    /// Those of [`Registry::task`] and [`Environment::new`].
+    /// Those of [`task`](super::task) and [`Environment::new`].
     pub fn environment(&self, registry: &Registry, options: &Options) -> Result<Environment> {
-        Environment::new(registry, registry.task(&self.task, &self.parameters)?, &[self.seed], options)
+        Environment::new(registry, super::task(registry, &self.task, &self.parameters)?, &[self.seed], options)
     }
 
     /// Takes down a control step.

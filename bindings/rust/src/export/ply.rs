@@ -33,7 +33,9 @@ pub(super) fn write(
                 Values::U64(values) => {
                     values[own].iter().try_for_each(|x| out.write_all(&(*x as u32).to_le_bytes()))?
                 }
-                Values::U16(values) => values[own].iter().try_for_each(|x| out.write_all(&x.to_le_bytes()))?,
+                Values::U16(values) => {
+                    values[own].iter().try_for_each(|x| out.write_all(&u32::from(*x).to_le_bytes()))?
+                }
             }
         }
     }

@@ -17,6 +17,8 @@ const MOST_NODES: f32 = 4e6;
 /// Rounds of smoothing for places, and further ones for normals; each adds half a cell² to the variance.
 const ROUNDS: usize = 1;
 const NORMAL_ROUNDS: usize = 1;
+/// Of a cell that nothing fills.
+const NO_GROUND: u8 = u8::MAX;
 /// Share at the surface. In a sheet one particle thick it is up to one half, at the corner of a cube 0.42, in a row of particles 0.25.
 const HALF: f32 = 0.45;
 /// Particles at a share below this are drawn alone.
@@ -172,7 +174,7 @@ fn filled(dots: &[Dot], bed: &Bed, spacing: f32) -> Option<(Field, Vec<u8>, [boo
     }
     let mut field = Field::new(min, cell, count);
     let several = dots.iter().any(|dot| dot.ground != 0);
-    let mut grounds = vec![0; if several { field.values.len() } else { 0 }];
+    let mut grounds = vec![NO_GROUND; if several { field.values.len() } else { 0 }];
     for dot in dots {
         let place = Vec3::from_array(dot.position);
         if several {
@@ -181,7 +183,27 @@ fn filled(dots: &[Dot], bed: &Bed, spacing: f32) -> Option<(Field, Vec<u8>, [boo
             field.fill(place, dot.side, |_| ());
         }
     }
+    // The smoothed surface passes through cells beside those that particles fill.
+    if several {
+        (0..=ROUNDS).for_each(|_| spread(&mut grounds, field.count));
+    }
     Some((field, grounds, walls))
+}
+
+/// Cells that nothing fills take what fills one beside them.
+fn spread(grounds: &mut [u8], count: [usize; 3]) {
+    let before = grounds.to_vec();
+    let steps = [1, count[0], count[0] * count[1]];
+    grounds.par_iter_mut().enumerate().filter(|(_, ground)| **ground == NO_GROUND).for_each(|(cell, ground)| {
+        for (step, count) in steps.into_iter().zip(count) {
+            let place = cell / step % count;
+            let beside = [(place > 0).then(|| cell - step), (place + 1 < count).then(|| cell + step)];
+            if let Some(found) = beside.into_iter().flatten().map(|other| before[other]).find(|one| *one != NO_GROUND) {
+                *ground = found;
+                return;
+            }
+        }
+    });
 }
 
 /// The surface where the field passes one half. Beyond the field there is nothing.
@@ -196,7 +218,7 @@ fn nets(field: &Field, smoother: &Field, grounds: &[u8], bed: &Bed, sky: &Sky, f
     });
     let ground = |place: [usize; 3]| {
         let inner: [usize; 3] = std::array::from_fn(|d| place[d].clamp(1, field.count[d]) - 1);
-        grounds.get(field.index(inner)).copied().unwrap_or_default()
+        grounds.get(field.index(inner)).copied().filter(|ground| *ground != NO_GROUND).unwrap_or_default()
     };
     net.faces(|Face { corners: [a, b, c, e], axis, inside, outside }| {
         // What lies on the floor is not seen from below.

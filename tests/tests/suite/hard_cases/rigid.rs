@@ -3,7 +3,7 @@
 use super::{all_finite, later, norm, plan, refusal, says, steps, within};
 use barchan::{Command, Precision, Simulation};
 use barchan_tests::long_cases;
-use barchan_tests::scenes::{Row, rows, run_to, scene, simulation};
+use barchan_tests::scenes::{Row, minus, rows, run_to, scene, simulation};
 use barchan_tests::sketch::{Head, bed, block, driven, half, material, scoop, tool};
 use std::path::Path;
 
@@ -151,6 +151,65 @@ fn stacks_and_extreme_masses_are_stable_at_the_same_step() {
             within(&format!("B45 {densities:?}: box {i} off the middle [m]"), off, 0.01);
         }
     }
+}
+
+/// Symptom: what a heavy block presses on sank into the ground without end, twenty times its mass by 5 cm/s, and the ground pushed back with its own weight alone: bodies
+/// pressed on each other behind the ground's solution. Physics: all that touch are found together, so that the ground bears them and they come to rest.
+#[test]
+fn what_a_heavy_block_presses_on_is_borne_by_the_ground() {
+    let mut s = stack(&[300.0, 6000.0]);
+    let weight: f64 = s.bodies().iter().map(|b| b.mass * 9.81).sum();
+    let (mut at_first, mut push, mut time) = (None, 0.0, 0.0);
+    while s.time() < 1.0 {
+        let dt = s.step().unwrap().dt;
+        if s.time() > 0.6 {
+            at_first.get_or_insert(s.bodies()[0].position[2]);
+            push += s.wrenches()[0].force[2] * dt;
+            time += dt;
+        }
+    }
+    let sunk = at_first.unwrap() - s.bodies()[0].position[2];
+    within("sunk in the last 0.4 s [m]", sunk.abs(), 1e-3);
+    within("mean push on the lower block over the weight of both, off by", (push / time / weight - 1.0).abs(), 0.02);
+}
+
+/// Symptom: a free box on a fixed plane less steep than friction holds crept down it by 2 mm/s at steps of 5 ms, unless there was a robot. Physics: it stays, but for what
+/// contact points of finite mass let it creep, g dt/1000.
+#[test]
+fn a_box_stays_on_a_rigid_slope() {
+    let (slope, dt) = (20_f64.to_radians(), 5e-3);
+    let turned = |at: f64| {
+        format!(
+            "position = [{}, 0, {}]\nrotation = [{}, 0, {}, 0]\ncontact = {{ coulomb = {{ friction = 0.5 }} }}",
+            at * slope.sin(),
+            at * slope.cos(),
+            (0.5 * slope).cos(),
+            (0.5 * slope).sin()
+        )
+    };
+    let one = |name: &str, half: [f64; 3], at: f64, motion: &str| {
+        format!(
+            "[[tool]]\nname = \"{name}\"\nshape = {{ box = {{ half = {half:?} }} }}\nmotion = {motion}\n{}\n",
+            turned(at)
+        )
+    };
+    let head = Head { gravity: [0.0, 0.0, -9.81], ..Head::space(0.1) }.time(format!("step = {dt}"));
+    let parts = [
+        one("plane", [1.0, 1.0, 0.05], -0.05, "\"fixed\""),
+        one("box", [0.1, 0.1, 0.05], 0.0505, "{ free = { mass = 1 } }"),
+    ];
+    let mut s = simulation(&head.with(&parts), Precision::F64);
+    let at = |s: &Simulation| s.bodies().into_iter().find(|b| b.name == "box").unwrap().position;
+    let mut settled = None;
+    while s.time() < 2.0 {
+        s.step().unwrap();
+        if s.time() > 0.5 {
+            settled.get_or_insert((s.time(), at(&s)));
+        }
+    }
+    let (then, there) = settled.unwrap();
+    let creep = norm(minus(at(&s), there)) / (s.time() - then);
+    within("speed at which it creeps [m/s]", creep, 9.81 * dt / 1000.0);
 }
 
 /// B47. Symptom: particles are pushed out of a body by an impulse that the body never gets. Physics: in space, soft and rigid

@@ -1,7 +1,7 @@
 //! What robots sense, held against physics.
 
 use super::{MOTORS, SAND, root, simulation, space, stand};
-use barchan::{Options, Precision, RobotState, Scene, Simulation};
+use barchan::{BodyState, Command, Options, Precision, RobotState, Scene, Simulation};
 use glam::{DQuat, DVec3};
 
 const G: f64 = 9.81;
@@ -239,4 +239,75 @@ fn joints_follow_the_base_as_it_leans() {
         let change = with.torque - without.torque;
         assert!((change - expected).abs() < 1e-2, "{}: {change} N m, not {expected}", with.name);
     }
+}
+
+/// Torques of motors are those of the state: one that is restored reads the same, also of joints that follow the base as it leans. A motor at rest gives what its gains say.
+#[test]
+fn torques_are_those_of_the_state() {
+    let balance = "balance = [{ joints = \"*_thigh_joint\", of = \"pitch\", gain = 0.3, rate = 0.02 }]";
+    let scene = on_floor(0.4, balance);
+    let torques = |s: &Simulation| s.joints().iter().map(|joint| joint.torque).collect::<Vec<_>>();
+    let mut dog = simulation(&scene, Precision::F64);
+    run(&mut dog, 0.3, |_| ());
+    let (state, before) = (dog.state().unwrap(), torques(&dog));
+    let calf = dog.joints().into_iter().find(|joint| joint.name.ends_with("calf_joint")).unwrap();
+    let by_gains = 250.0 * (-1.6 - calf.position) - 5.0 * calf.rate;
+    assert!((calf.torque - by_gains).abs() < 1e-9 && calf.torque.abs() > 0.1, "{} and {by_gains} N m", calf.torque);
+    run(&mut dog, 0.35, |_| ());
+    assert_ne!(torques(&dog), before);
+    dog.set_state(&state).unwrap();
+    assert_eq!(torques(&dog), before);
+}
+
+/// A blow on a robot afloat, on its base or on a link, is momentum that it keeps; one on a base that stays moves nothing, and is refused.
+#[test]
+fn a_blow_on_a_robot_is_momentum() {
+    let (linear, angular) = ([3.0, -1.0, 2.0], [0.1, 0.2, -0.3]);
+    let dog = "[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nmotor = [{ kp = 250, kd = 5 }]\n";
+    let scene = space(0.0, dog);
+    for hit in ["dog", "dog/FL_foot"] {
+        let mut world = simulation(&scene, Precision::F64);
+        (0..20).for_each(|_| drop(world.step().unwrap()));
+        let links = world.bodies();
+        // The base is the first.
+        let centre = links.iter().find(|link| link.name == hit).unwrap_or(&links[0]).position;
+        world.act(hit, &Command::Impulse { linear, angular }).unwrap();
+        for when in ["at once", "after 100 steps"] {
+            let sum = |of: fn(&BodyState) -> [f64; 3]| -> DVec3 {
+                world.bodies().iter().map(|body| DVec3::from_array(of(body))).sum()
+            };
+            let [blow, about] = [linear, angular].map(DVec3::from_array);
+            let about = about + DVec3::from_array(centre).cross(blow);
+            let off =
+                (sum(|body| body.momentum) - blow).length() + (sum(|body| body.angular_momentum) - about).length();
+            println!("{hit}, {when}: momentum off by {off:.1e} (1e-9)");
+            assert!(off < 1e-9, "{hit}, {when}: {off}");
+            (0..100).for_each(|_| drop(world.step().unwrap()));
+        }
+        let none = world.act("cat", &Command::Impulse { linear, angular }).unwrap_err().to_string();
+        assert!(none.contains("cat"), "{none}");
+    }
+    let mut arm = simulation(
+        &space(0.0, "[[robot]]\nname = \"arm\"\nmodel = \"arm\"\nfixed = true\nmotor = [{ kp = 9, kd = 1 }]\n"),
+        Precision::F64,
+    );
+    let error = arm.act("arm", &Command::Impulse { linear, angular }).unwrap_err().to_string();
+    assert!(error.contains("robot 'arm'") && error.contains("cannot move that way"), "{error}");
+    let last = arm.bodies().pop().unwrap().name;
+    arm.act(&last, &Command::Impulse { linear, angular }).unwrap();
+    assert!(arm.joints().iter().any(|joint| joint.rate.abs() > 0.1));
+}
+
+/// Targets for joints whose motors have no gains move nothing, and are refused; an armature that slows down what nothing drives is told.
+#[test]
+fn joints_without_motors_take_no_targets() {
+    let dog = |motor: &str| space(0.0, &format!("[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\n{motor}\n"));
+    let mut limp = simulation(&dog(""), Precision::F64);
+    let error = limp.act("dog", &Command::JointTargets(vec![0.0; 12])).unwrap_err().to_string();
+    assert!(error.contains("robot 'dog'") && error.contains("move nothing"), "{error}");
+    limp.act("dog", &Command::JointTorques(vec![0.1; 12])).unwrap();
+    let warned = |s: &Simulation| s.plan().warnings.iter().any(|warning| warning.contains("armature"));
+    assert!(warned(&limp));
+    assert!(!warned(&simulation(&dog("motor = [{ kp = 9 }]"), Precision::F64)));
+    assert!(!warned(&simulation(&dog("motor = [{ armature = 0 }]"), Precision::F64)));
 }

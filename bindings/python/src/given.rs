@@ -1,0 +1,101 @@
+//! What Python gives: numbers, worlds and seeds, and commands to bodies.
+
+use crate::errors::{OrRaise, raised};
+use barchan::{Command, Precision};
+use numpy::{AllowTypeChange, PyArrayLikeDyn};
+use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
+use pyo3::prelude::*;
+
+/// Numbers of any shape: an array, or lists of them. Shapes are checked where it is known what they should be.
+pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+
+pub(crate) fn check_world(world: usize, count: usize) -> PyResult<()> {
+    if world < count {
+        return Ok(());
+    }
+    Err(PyIndexError::new_err(format!("there is no world {world}; they are counted from 0, and there are {count}")))
+}
+
+pub(crate) fn precision(text: &str) -> PyResult<Precision> {
+    text.parse().map_err(PyValueError::new_err)
+}
+
+/// May there be so many worlds?
+pub(crate) fn check_count(py: Python<'_>, worlds: usize) -> PyResult<()> {
+    if worlds == 0 {
+        return Err(PyValueError::new_err("worlds: there must be one at least"));
+    }
+    barchan::worlds::check_count(worlds).or_raise(py)
+}
+
+/// A seed, if scenes may have it: theirs are numbers of TOML.
+pub(crate) fn whole_seed(seed: u64) -> PyResult<u64> {
+    if i64::try_from(seed).is_ok() { Ok(seed) } else { Err(PyValueError::new_err(SEEDS)) }
+}
+
+/// What seeds are.
+const SEEDS: &str = "seeds are whole numbers from 0 to 2^63 - 1";
+
+/// A seed for each of so many worlds.
+pub(crate) fn seeds(seeds: &Bound<'_, PyAny>, worlds: usize) -> PyResult<Vec<u64>> {
+    let given = seeds.extract::<u64>().map(|one| vec![one]).or_else(|_| seeds.extract::<Vec<u64>>());
+    let given = given.map_err(|_| PyTypeError::new_err(SEEDS))?;
+    let given = given.into_iter().map(whole_seed).collect::<PyResult<Vec<_>>>()?;
+    if given.len() != worlds {
+        return Err(PyValueError::new_err(format!("seeds: there are {} of them for {worlds} worlds", given.len())));
+    }
+    Ok(given)
+}
+
+/// Name of an adapter, or its number.
+pub(crate) fn named(adapter: &Bound<'_, PyAny>) -> PyResult<String> {
+    Ok(adapter.str()?.to_string())
+}
+
+/// Rows of a command for so many worlds: one row for all of them, or one for each.
+pub(crate) fn per_world(values: Option<&Numbers<'_>>, what: &str, worlds: usize) -> PyResult<Vec<Option<Vec<f64>>>> {
+    let Some(values) = values else { return Ok(vec![None; worlds]) };
+    let values = values.as_array();
+    match values.shape() {
+        [_] => Ok(vec![Some(values.iter().copied().collect()); worlds]),
+        &[rows, _] if rows == worlds => {
+            Ok(values.rows().into_iter().map(|row| Some(row.iter().copied().collect())).collect())
+        }
+        shape => Err(PyValueError::new_err(format!(
+            "{what}: its shape is {shape:?}; give one row of numbers for all worlds, or a row for each of {worlds}"
+        ))),
+    }
+}
+
+/// Numbers along x, y and z; zeros if there are none.
+pub(crate) fn axes(values: Option<Vec<f64>>, what: &str) -> PyResult<[f64; 3]> {
+    let Some(values) = values else { return Ok([0.0; 3]) };
+    let count = values.len();
+    values.try_into().map_err(|_| PyValueError::new_err(format!("{what}: {count} numbers; it takes x, y and z")))
+}
+
+/// Blows for so many worlds.
+pub(crate) fn blows(impulse: &Numbers<'_>, angular: Option<&Numbers<'_>>, worlds: usize) -> PyResult<Vec<Command>> {
+    let all = per_world(Some(impulse), "impulse", worlds)?.into_iter();
+    let blow = |(linear, angular)| {
+        Ok(Command::Impulse { linear: axes(linear, "impulse")?, angular: axes(angular, "angular")? })
+    };
+    all.zip(per_world(angular, "angular", worlds)?).map(blow).collect()
+}
+
+/// Gives worlds of `count` a command each.
+pub(crate) fn tell(
+    py: Python<'_>,
+    count: usize,
+    worlds: Vec<usize>,
+    commands: Vec<Command>,
+    mut act: impl FnMut(usize, &Command) -> barchan::Result<()>,
+) -> PyResult<()> {
+    // What is no number, or the greatest, goes first: if a command is refused for its numbers, it is that one, and no world has taken any.
+    let mut told: Vec<(usize, Command)> = worlds.into_iter().zip(commands).collect();
+    told.sort_by(|(_, a), (_, b)| b.greatest().total_cmp(&a.greatest()));
+    for (world, command) in told {
+        act(world, &command).map_err(|error| raised(py, error, (count > 1).then_some(world)))?;
+    }
+    Ok(())
+}
