@@ -171,9 +171,10 @@ fn bodies_meet_walls_and_one_another_beside_the_device() {
     let toml = Head { gravity: [0.0; 3], ..Head::cells(0.05, [40, 16, 24], walls) }.time("step = 2e-3").with(&[
         material("hencky", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3"),
         block("hencky", [1.6, 0.4, 0.2], [1.8, 0.6, 0.4], ""),
-        tool("ball", [0.4, 0.4, 0.35], "sphere = { radius = 0.1 }", FRICTION, &bounce([0.0, 0.0, -2.0])),
+        // They do not meet at the end of a step, where rounding would say in which one.
+        tool("ball", [0.4, 0.4, 0.3513], "sphere = { radius = 0.1 }", FRICTION, &bounce([0.0, 0.0, -2.0])),
         tool("left", [0.7, 0.4, 0.9], &half([0.05; 3]), FRICTION, &bounce([1.0, 0.0, 0.0])),
-        tool("right", [1.2, 0.4, 0.9], &half([0.05; 3]), FRICTION, &bounce([-1.0, 0.0, 0.0])),
+        tool("right", [1.2013, 0.4, 0.9], &half([0.05; 3]), FRICTION, &bounce([-1.0, 0.0, 0.0])),
     ]);
     let (mut g, mut c) = (gpu(&toml), cpu(&toml));
     take_at_once(&mut g, 250);
