@@ -24,7 +24,7 @@ const SMALLEST: f64 = 1e-9;
 const ROUNDED: f64 = 1e-6;
 
 impl TriangleMesh {
-    /// Joins equal vertices, drops triangles that have two corners in common, and checks what is left. Where that is not closed, vertices closer than [`ROUNDED`] of
+    /// Joins equal vertices, drops triangles that have two corners in common, and checks what is left. Where that is not closed, vertices that are the same to a millionth of
     /// the mesh's longest side are joined, too: what sweeps a full turn ends beside where it began.
     ///
     /// # Errors
