@@ -615,9 +615,8 @@ impl Coupling for Rigid {
 
     fn warnings(&self, cell_width: f64) -> Vec<String> {
         let mut warnings = Vec::new();
-        let has_ground = self.scene.has_ground();
         for body in &self.bodies {
-            warnings.extend(thin(&body.name, &body.shape, cell_width).filter(|_| has_ground));
+            warnings.extend(thin(&body.name, &body.shape, cell_width));
             if body.ignored_position {
                 warnings
                     .push(format!("tool '{}': its position is ignored, since keyframes say where it is", body.name));

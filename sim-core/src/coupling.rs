@@ -702,7 +702,7 @@ pub trait Coupling: Send + Sync {
     fn files(&self) -> Vec<PathBuf> {
         Vec::new()
     }
-    /// Warnings about the set-up (a blade thinner than two cells, say).
+    /// Warnings about the set-up (a blade thinner than two cells, say) on finest cells of width `cell_width` [m]: 0 where there is no ground.
     fn warnings(&self, cell_width: f64) -> Vec<String>;
     /// Named counts of clamps and clips since the start, for the ledger.
     fn counts(&self) -> Vec<(String, u64)> {

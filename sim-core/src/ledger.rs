@@ -85,7 +85,7 @@ pub struct Passed {
     pub momentum: Vec3,
     /// Angular momentum about the world's origin, the affine part included [kg m²/s].
     pub angular_momentum: Vec3,
-    /// Kinetic, elastic and potential energy [J]; the elastic one with the strain that the last step began with.
+    /// Kinetic, elastic and potential energy [J], all of the same time.
     pub energy: f64,
 }
 

@@ -118,11 +118,6 @@ impl Scene {
         tool.answers() && (!self.robot.is_empty() || may_touch())
     }
 
-    /// Are there particles, or will there be?
-    pub fn has_ground(&self) -> bool {
-        !self.body.is_empty() || !self.inflow.is_empty()
-    }
-
     /// Is anything solved as robots are?
     pub fn has_robots(&self) -> bool {
         !self.robot.is_empty() || self.tool.iter().any(|tool| self.goes_with_robots(tool))

@@ -79,8 +79,10 @@ impl<T: Scalar> CpuEngine<T> {
         let lagging = self.whole_step(level, 0.0).ok();
         let asleep = Step { strain_dt: 0.0, strain_parts: 1, ..self.step_of(level, 0.0) };
         let mut volume0 = Vec::with_capacity(BATCH);
-        for (run, &rest) in list.runs.iter().zip(&self.levels[level].store.rest) {
-            let step = if rest == ASLEEP { Some(&asleep) } else { lagging.as_ref() };
+        // Before the first step nobody knows yet which blocks rest.
+        let rest = &self.levels[level].store.rest;
+        for (b, run) in list.runs.iter().enumerate() {
+            let step = if rest.get(b) == Some(&ASLEEP) { Some(&asleep) } else { lagging.as_ref() };
             for from in (0..run.count).step_by(BATCH) {
                 let now = step.and_then(|step| Self::strain_now(list, &planned.material, run, from, step));
                 let Some((strain, state)) = now else {

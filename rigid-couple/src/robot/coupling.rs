@@ -808,7 +808,7 @@ impl Coupling for Robots {
             .flat_map(|robot| robot.model.warnings.iter().map(|w| format!("robot '{}': {w}", robot.name)));
         let mut warnings: Vec<String> = of_models.chain(self.overlaps()).collect();
         warnings.extend(self.robots.iter().filter_map(Robot::heavy_rotors));
-        for robot in self.robots.iter().filter(|_| self.scene.has_ground()) {
+        for robot in &self.robots {
             let ends =
                 || robot.ends().filter_map(|body| Some((body, robot.model.links[robot.solids[body]].shape.as_ref()?)));
             if robot.is_tool {

@@ -1,8 +1,8 @@
 //! Free bodies: flight, stacks, snapshots, and what is refused.
 
 use crate::{batch, meet, refusal, rigid, step, within, world};
-use barchan_core::{Coupling, NodeBatch, Registry};
-use barchan_rigid::Rigid;
+use barchan_core::{Coupling, NodeBatch, Registry, Scene};
+use barchan_rigid::{Rigid, Robots};
 use glam::DVec3;
 
 #[test]
@@ -71,17 +71,26 @@ fn centre_of_mass_moves_and_not_the_origin() {
     within("distance above the lid [m]", (rigid.distance(&[x.to_array()])[0] - 0.01).abs(), 1e-12);
 }
 
-const STACK: &str = "[[tool]]\nname = 'a'\nposition = [0, 0, 0.05]\nshape = { box = { half = [0.05, 0.05, 0.05] } }\nmotion = { free = { mass = 1 } }
-[[tool]]\nname = 'b'\nposition = [0.005, 0, 0.15]\nshape = { box = { half = [0.05, 0.05, 0.05] } }\nmotion = { free = { mass = 0.1 } }
-[[tool]]\nname = 'c'\nposition = [0, 0.005, 0.251]\nshape = { box = { half = [0.05, 0.05, 0.05] } }\nmotion = { free = { mass = 20 } }
-[[tool]]\nname = 'arm'\nposition = [0.5, 0, 0.2]\nshape = { capsule = { radius = 0.02, half_height = 0.1 } }\nmotion = { keyframes = { frames = [{ time = 0, position = [0.5, 0, 0.2] }, { time = 0.5, position = [0.07, 0, 0.2] }] } }\n";
+const LOWEST: &str = "[[tool]]\nname = 'a'\nposition = [0, 0, 0.05]\nshape = { box = { half = [0.05, 0.05, 0.05] } }\nmotion = { free = { mass = 1 } }\n";
+const UPON: &str = "[[tool]]\nname = 'b'\nposition = [0.005, 0, 0.15]\nshape = { box = { half = [0.05, 0.05, 0.05] } }\nmotion = { free = { mass = 0.1 } }
+[[tool]]\nname = 'c'\nposition = [0, 0.005, 0.251]\nshape = { box = { half = [0.05, 0.05, 0.05] } }\nmotion = { free = { mass = 20 } }\n";
 
-fn stack() -> Rigid {
-    let scene = world(STACK, "z_min = { separate = { friction = 0.6 } }", [0.0, 0.0, -9.81]);
-    // The floor of the test world is at z = −1: lift it to 0.
-    let mut scene = scene;
+/// Tools on a floor at z = 0.
+fn on_floor(tools: &str) -> Scene {
+    let mut scene = world(tools, "z_min = { separate = { friction = 0.6 } }", [0.0, 0.0, -9.81]);
+    // That of the test world is at z = −1.
     scene.world.min[2] = 0.0;
-    Rigid::new(&scene).unwrap()
+    scene
+}
+
+/// A box that rapier holds to the floor.
+fn lone() -> Rigid {
+    Rigid::new(&on_floor(LOWEST)).unwrap()
+}
+
+/// Three boxes that are solved together.
+fn stack() -> Robots {
+    Robots::new(&on_floor(&[LOWEST, UPON].concat())).unwrap()
 }
 
 /// Ground that pushes at the lowest box, so that soft contact is part of what is restored.
@@ -111,13 +120,13 @@ fn stacks_stand_on_a_rigid_floor() {
 /// an error.
 #[test]
 fn forged_states_are_errors_and_no_panics() {
-    let mut honest = stack();
+    let mut honest = lone();
     for i in 0..400 {
         step(&mut honest, f64::from(i) * 1e-3, 1e-3, &mut dust());
     }
     let saved = honest.save();
     let (mut refused, mut failed, mut went_on) = (0, 0, 0);
-    let mut rigid = stack();
+    let mut rigid = lone();
     let mut forge = |bytes: &[u8]| match rigid.restore(bytes) {
         Err(_) => refused += 1,
         Ok(()) => {
@@ -146,13 +155,23 @@ fn forged_states_are_errors_and_no_panics() {
 
 #[test]
 fn restored_runs_continue_bit_for_bit() {
-    // A run that is resumed must be the run that was not interrupted, contact caches included.
-    let mut whole = stack();
+    is_restored(lone);
+    is_restored(stack);
+    let saved = lone().save();
+    assert!(lone().restore(&saved[..saved.len() / 2]).unwrap_err().contains("cannot be read"));
+    let other = "[[tool]]\nname = 'ball'\nshape = { sphere = { radius = 0.1 } }";
+    assert!(rigid(other).restore(&saved).is_err());
+    assert!(stack().restore(&saved).is_err());
+}
+
+/// A run that is resumed must be the run that was not interrupted, contact caches included.
+fn is_restored<C: Coupling>(make: impl Fn() -> C) {
+    let mut whole = make();
     for i in 0..400 {
         step(&mut whole, f64::from(i) * 1e-3, 1e-3, &mut dust());
     }
     let saved = whole.save();
-    let mut resumed = stack();
+    let mut resumed = make();
     resumed.restore(&saved).unwrap();
     assert_eq!(resumed.bodies(), whole.bodies());
     assert_eq!(resumed.wrenches(), whole.wrenches());
@@ -165,16 +184,13 @@ fn restored_runs_continue_bit_for_bit() {
         assert_eq!(resumed.bodies(), whole.bodies(), "step {i}");
     }
     assert_eq!(resumed.save(), whole.save());
-    println!("snapshot of four bodies: {} bytes", saved.len());
-    assert!(stack().restore(&saved[..saved.len() / 2]).unwrap_err().contains("cannot be read"));
-    let other = "[[tool]]\nname = 'ball'\nshape = { sphere = { radius = 0.1 } }";
-    assert!(rigid(other).restore(&saved).is_err());
+    println!("snapshot of {} bodies: {} bytes", whole.bodies().len(), saved.len());
 }
 
 /// What fails is as if it had never been tried: bodies go back to what they kept, bit for bit, contact caches included, and that is what they were restored from.
 #[test]
 fn bodies_go_back_to_what_they_kept() {
-    let mut rigid = stack();
+    let mut rigid = lone();
     let steps = |from: i32, count: i32, rigid: &mut Rigid| {
         for i in from..from + count {
             step(rigid, f64::from(i) * 1e-3, 1e-3, &mut dust());
@@ -222,11 +238,18 @@ fn free_meshes_collide_by_their_hull() {
 #[test]
 fn driven_tools_push_free_bodies() {
     // A kinematic plate that rises under a ball carries it at the plate's speed, whatever the ball weighs.
-    let mut rigid = Rigid::new(&world("[[tool]]\nname = 'plate'\nshape = { box = { half = [0.2, 0.2, 0.01] } }\nmotion = { velocity = { linear = [0, 0, 0.2] } }\n[[tool]]\nname = 'ball'\nposition = [0, 0, 0.06]\nshape = { sphere = { radius = 0.05 } }\nmotion = { free = { mass = 50 } }", "", [0.0, 0.0, -9.81])).unwrap();
+    let scene = world(
+        "[[tool]]\nname = 'plate'\nshape = { box = { half = [0.2, 0.2, 0.01] } }\nmotion = { velocity = { linear = [0, 0, 0.2] } }\n[[tool]]\nname = 'ball'\nposition = [0, 0, 0.06]\nshape = { sphere = { radius = 0.05 } }\nmotion = { free = { mass = 50 } }",
+        "",
+        [0.0, 0.0, -9.81],
+    );
+    let (mut driven, mut free) = (Rigid::new(&scene).unwrap(), Robots::new(&scene).unwrap());
     for i in 0..1000 {
-        step(&mut rigid, f64::from(i) * 1e-3, 1e-3, &mut NodeBatch::default());
+        free.see(&driven.bodies());
+        step(&mut driven, f64::from(i) * 1e-3, 1e-3, &mut NodeBatch::default());
+        step(&mut free, f64::from(i) * 1e-3, 1e-3, &mut NodeBatch::default());
     }
-    let (plate, ball) = (&rigid.bodies()[0], &rigid.bodies()[1]);
+    let (plate, ball) = (&driven.bodies()[0], &free.bodies()[0]);
     within("plate [m]", (plate.position[2] - 0.2).abs(), 1e-12);
     within("ball on plate [m]", (ball.position[2] - plate.position[2] - 0.06).abs(), 2e-3);
     within("speed of the ball [m/s]", (ball.velocity[2] - 0.2).abs(), 1e-2);
@@ -296,16 +319,21 @@ fn the_registry_makes_rigid_couplings() {
 
 #[test]
 fn a_step_of_rapier_is_cheap() {
-    // A free body must not cost more than the ground around it: a stack of three boxes on a floor, with an arm beside it.
-    let mut rigid = stack();
+    // A free body must not cost more than the ground around it: a box on a floor, and a stack of three.
+    within("seconds for a step of a body", quickest(lone()), 1e-3);
+    within("seconds for a step of a stack", quickest(stack()), 1e-3);
+}
+
+/// The least that a step takes [s].
+fn quickest(mut coupling: impl Coupling) -> f64 {
     for i in 0..200 {
-        step(&mut rigid, f64::from(i) * 1e-4, 1e-4, &mut NodeBatch::default());
+        step(&mut coupling, f64::from(i) * 1e-4, 1e-4, &mut NodeBatch::default());
     }
     let mut best = f64::INFINITY;
     for _ in 0..200 {
         let start = std::time::Instant::now();
-        step(&mut rigid, 0.02, 1e-4, &mut NodeBatch::default());
+        step(&mut coupling, 0.02, 1e-4, &mut NodeBatch::default());
         best = best.min(start.elapsed().as_secs_f64());
     }
-    within("seconds for a step of four bodies", best, 1e-3);
+    best
 }

@@ -51,14 +51,14 @@ fn batch(nodes: &[([f64; 3], f64, [f64; 3])]) -> NodeBatch {
     }
 }
 
-fn step(rigid: &mut Rigid, time: f64, dt: f64, nodes: &mut NodeBatch) {
-    rigid.before_step(time, dt).unwrap();
-    meet(rigid, dt, nodes).unwrap();
-    rigid.after_step(time, dt).unwrap();
+fn step(coupling: &mut impl Coupling, time: f64, dt: f64, nodes: &mut NodeBatch) {
+    coupling.before_step(time, dt).unwrap();
+    meet(coupling, dt, nodes).unwrap();
+    coupling.after_step(time, dt).unwrap();
 }
 
-fn meet(rigid: &mut Rigid, dt: f64, nodes: &mut NodeBatch) -> barchan_core::Result<()> {
-    Contact::default().meet(&mut [rigid], dt, nodes)
+fn meet(coupling: &mut impl Coupling, dt: f64, nodes: &mut NodeBatch) -> barchan_core::Result<()> {
+    Contact::default().meet(&mut [coupling], dt, nodes)
 }
 
 fn momentum(nodes: &NodeBatch) -> DVec3 {

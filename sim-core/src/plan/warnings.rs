@@ -79,7 +79,9 @@ impl Plan {
                 }
             ));
         }
-        warnings.extend(couplings.iter().flat_map(|c| c.warnings(self.scene.world.cell)));
+        // Where there is no ground, nothing is too thin for its cells.
+        let cell_width = if self.materials.is_empty() { 0.0 } else { self.scene.world.cell };
+        warnings.extend(couplings.iter().flat_map(|c| c.warnings(cell_width)));
         self.warnings.extend(warnings);
         self.warnings.iter_mut().for_each(|warning| *warning = plain(warning));
         Ok(())

@@ -1,7 +1,7 @@
 //! Ground that starts at rest under its own weight.
 
 use barchan::{Precision, Scene, Simulation};
-use barchan_tests::scenes::{Row, options, rows, run_to, scene, simulation, within};
+use barchan_tests::scenes::{Row, everywhere, options, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, body, material, tool};
 
 /// Cell width [m].
@@ -44,6 +44,23 @@ fn stress_along(axis: usize, r: &Row, young: f64, poisson: f64) -> f64 {
 /// The same along z.
 fn stress(r: &Row, young: f64, poisson: f64) -> f64 {
     stress_along(2, r, young, poisson)
+}
+
+/// Symptom: a ledger said of settled ground that it begins without elastic energy, so that energy seemed to grow in the first step. A confined column under its own weight has
+/// w² d³ / 6 M for each area, with M the modulus of confined compression.
+#[test]
+fn settled_ground_begins_with_its_elastic_energy() {
+    let (young, poisson) = (1e6, 0.25);
+    let text = bed("hencky", &format!("young_modulus = {young:e}, poisson_ratio = {poisson}"), true);
+    let confined = young * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson));
+    let expected = 0.08 * 0.08 * WEIGHT.powi(2) * DEPTH.powi(3) / (6.0 * confined);
+    for options in everywhere() {
+        let mut s = Simulation::new(&barchan::registry(), &scene(&text), &options).unwrap();
+        let begins = s.ledger().elastic;
+        within(&format!("{}: elastic energy, off by", options.backend), (begins / expected - 1.0).abs(), 0.02);
+        s.step().unwrap();
+        within("and by the first step", (s.ledger().elastic / begins - 1.0).abs(), 1e-3);
+    }
 }
 
 /// Symptom: every bed falls into itself when gravity sets in, and what is measured in the first second is its bounce.
