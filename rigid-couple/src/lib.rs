@@ -7,7 +7,7 @@
 //! 3. [`barchan_core::contact`]: the node's velocity relative to the surface loses what the contact law forbids. For a free body this is
 //!    solved together with the body's own velocity, so that no mass ratio is unstable, and the body receives exactly the
 //!    momentum that the nodes lose.
-//! 4. [`world`]: contacts of rigid bodies among themselves and with the world's walls (rapier), and the free bodies' motion.
+//! 4. [`world`]: contacts of a free body with the world's walls (rapier), and its motion. One that may touch more is solved with all of that in [`robot`].
 //!
 //! Nothing here knows the grid: nodes come in batches, through [`barchan_core::Coupling`]. Meshes are read in [`mesh`], masses
 //! and inertias come from [`mass`].
@@ -52,7 +52,7 @@ pub fn register(registry: &mut Registry) -> Result<()> {
     )?;
     registry.add_coupling(
         ROBOT_COUPLING,
-        "Robots of links and joints on the ground",
+        "Robots of links and joints on the ground, and free tools beside them or one another",
         Vec::new(),
         Arc::new(|setup| Ok(Box::new(Robots::new(setup.scene)?.called(setup.name)) as _)),
     )

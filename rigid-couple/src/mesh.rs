@@ -36,25 +36,36 @@ impl TriangleMesh {
             let what = format!("a vertex is at {bad}");
             return Err(Refusal::new(what, "repair the file: coordinates must be finite"));
         }
-        // Adding zero turns -0 into 0, which is the same place with other bits.
-        let exact = Self::joined(&corners, |x| (x + DVec3::ZERO).to_array().map(f64::to_bits));
+        let mut known = HashMap::new();
+        let exact = Self::joined(&corners, |x, next, _| {
+            // Adding zero turns -0 into 0, which is the same place with other bits.
+            *known.entry((x + DVec3::ZERO).to_array().map(f64::to_bits)).or_insert(next)
+        });
         let Err(refusal) = exact.check() else { return Ok(exact) };
         let ends = all().fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), x| (low.min(*x), high.max(*x)));
         let near = ROUNDED * (ends.1 - ends.0).max_element();
-        let rounded = Self::joined(&corners, |x| ((x - ends.0) / near).round().to_array().map(f64::to_bits));
+        let mut cells: HashMap<[i64; 3], u32> = HashMap::new();
+        let rounded = Self::joined(&corners, |x, next, vertices| {
+            let cell = ((x - ends.0) / near).floor().to_array().map(|c| c as i64);
+            let around = (0..27).map(|n: i64| [n / 9 - 1, n / 3 % 3 - 1, n % 3 - 1]);
+            let beside = around.filter_map(|by| cells.get(&std::array::from_fn(|d| cell[d] + by[d])));
+            let found = beside.copied().find(|one| vertices[*one as usize].distance(x) <= near);
+            found.unwrap_or_else(|| *cells.entry(cell).or_insert(next))
+        });
         if rounded.check().is_ok() { Ok(rounded) } else { Err(refusal) }
     }
 
-    /// With corners that have the same key as one vertex, where the first of them is.
-    fn joined(corners: &[[DVec3; 3]], key: impl Fn(DVec3) -> [u64; 3]) -> Self {
+    /// `vertex_of` says which vertex a corner is, from where it is, the next new one's number, and those that there are.
+    fn joined(corners: &[[DVec3; 3]], mut vertex_of: impl FnMut(DVec3, u32, &[DVec3]) -> u32) -> Self {
         let mut mesh = Self { vertices: Vec::new(), triangles: Vec::new() };
-        let mut index = HashMap::new();
         for triangle in corners {
             let triangle = triangle.map(|x| {
-                *index.entry(key(x)).or_insert_with(|| {
+                let next = mesh.vertices.len() as u32;
+                let vertex = vertex_of(x, next, &mesh.vertices);
+                if vertex == next {
                     mesh.vertices.push(x);
-                    mesh.vertices.len() as u32 - 1
-                })
+                }
+                vertex
             });
             if triangle[0] != triangle[1] && triangle[1] != triangle[2] && triangle[2] != triangle[0] {
                 mesh.triangles.push(triangle);

@@ -589,11 +589,12 @@ impl Coupling for Rigid {
             let blow = vector(linear, "the impulse")
                 .and_then(|linear| Ok([linear, vector(angular, "the angular impulse")?]))
                 .map_err(|refusal| refusal.at(&path))?;
-            if body.answering().is_none() {
-                let what = "it moves as it is told, whatever pushes it";
+            let before = (body.state.twist, body.state.angular_momentum);
+            body.gain(blow);
+            if blow != [DVec3::ZERO; 2] && before == (body.state.twist, body.state.angular_momentum) {
+                let what = "it moves as it is told or guided, whatever pushes it that way";
                 return Err(Refusal::new(what, "give it a motion = { free = {} }").at(&path));
             }
-            body.gain(blow);
             return Ok(());
         }
         let &Command::Twist { linear, angular } = command else {

@@ -1,4 +1,4 @@
-//! Contacts of rigid bodies among themselves and with the world's walls, by rapier.
+//! Contacts of a free tool with the world's walls, by rapier, where it has nothing else but the ground to touch.
 //!
 //! Made only where a scene has a free body. Rapier sees no gravity, no damping, no sleep and no ground: the bodies' velocities
 //! come in with all that done, and rapier changes them where rigid bodies touch.

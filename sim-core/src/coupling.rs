@@ -95,7 +95,7 @@ pub struct JointState {
     pub position: f64,
     /// Its rate [rad/s or m/s].
     pub rate: f64,
-    /// Torque [N m] or force [N] of its motor over the last step.
+    /// Torque [N m] or force [N] that its motor gives as it is now, by what it was told last: after a step, that of the step.
     pub torque: f64,
 }
 

@@ -765,7 +765,7 @@ pub enum Motion {
     Servo(Servo),
 }
 
-/// A force that pushes a tool along an axis. Gravity does not move it. Free bodies give way to it; where there are robots, they and free bodies push it back. It passes
+/// A force that pushes a tool along an axis. Gravity does not move it. Free bodies and robots give way to it and push it back. It passes
 /// through walls and through tools that do not give way.
 #[derive(Clone, Copy, Debug, Serialize, Deserialize, JsonSchema)]
 #[serde(deny_unknown_fields)]

@@ -3,7 +3,7 @@
 use crate::device::layout::ENTRY;
 use crate::device::memory::{
     BODY, BODY_HEAD, BODY_STATE, Extent, GROUP_HEAD, Layer, OF_LAYERS, PER_LAYER, PER_STEP, PER_SUM, SOFT_WORDS,
-    StepConstants, TOUCH, WATCHED,
+    StepConstants, TOUCH, WATCHED, WorldCells,
 };
 use crate::device::status::{self, Halt};
 use crate::worlds::{sleep, soft};
@@ -30,8 +30,13 @@ macro_rules! layout {
 }
 
 /// The uniforms that all passes read.
-pub const LAYOUTS: [Layout; 3] = [
-    layout!("Extent", Extent, [slots, particles, block_room, node_room, row, places, giver_room]),
+pub const LAYOUTS: [Layout; 4] = [
+    layout!("Extent", Extent, [slots, particles, block_room, node_room, row, places, giver_room, rooms, world]),
+    layout!(
+        "World",
+        WorldCells,
+        [min, cell, max, per_cell, side_low, side_high, side_low_part, side_high_part, period_min, period]
+    ),
     layout!(
         "Layer",
         Layer,

@@ -1,7 +1,7 @@
 //! The class `Environment`: worlds of a task.
 
 use crate::errors::{OrRaise, raised};
-use crate::given::{Numbers, blows, check_count, check_world, named, precision, seeds, tell, whole_seed};
+use crate::given::{Numbers, blows, check_count, check_world, named, one_seed, precision, seeds, tell, whole_seed};
 use crate::machine::Shared;
 use crate::picture::{array, check_part};
 use crate::simulation::Simulation;
@@ -153,8 +153,8 @@ impl Environment {
         }
         let seeds = match seed {
             None => (0..worlds as u64).collect(),
-            Some(given) => match given.extract::<u64>() {
-                Ok(first) => (whole_seed(first)?..).take(worlds).map(whole_seed).collect::<PyResult<_>>()?,
+            Some(given) => match one_seed(given) {
+                Ok(first) => (first..).take(worlds).map(whole_seed).collect::<PyResult<_>>()?,
                 Err(_) => seeds(given, worlds)?,
             },
         };

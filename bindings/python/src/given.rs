@@ -5,6 +5,7 @@ use barchan::{Command, Precision};
 use numpy::{AllowTypeChange, PyArrayLikeDyn};
 use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
+use pyo3::types::PyBool;
 
 /// Numbers of any shape: an array, or lists of them. Shapes are checked where it is known what they should be.
 pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
@@ -36,11 +37,20 @@ pub(crate) fn whole_seed(seed: u64) -> PyResult<u64> {
 /// What seeds are.
 const SEEDS: &str = "seeds are whole numbers from 0 to 2^63 - 1";
 
+/// A seed. Python's bools are numbers, too, but no seeds.
+pub(crate) fn one_seed(given: &Bound<'_, PyAny>) -> PyResult<u64> {
+    if given.is_instance_of::<PyBool>() {
+        return Err(PyTypeError::new_err(SEEDS));
+    }
+    whole_seed(given.extract().map_err(|_| PyTypeError::new_err(SEEDS))?)
+}
+
 /// A seed for each of so many worlds.
 pub(crate) fn seeds(seeds: &Bound<'_, PyAny>, worlds: usize) -> PyResult<Vec<u64>> {
-    let given = seeds.extract::<u64>().map(|one| vec![one]).or_else(|_| seeds.extract::<Vec<u64>>());
-    let given = given.map_err(|_| PyTypeError::new_err(SEEDS))?;
-    let given = given.into_iter().map(whole_seed).collect::<PyResult<Vec<_>>>()?;
+    let given = match seeds.extract::<Vec<Bound<'_, PyAny>>>() {
+        Ok(several) => several.iter().map(one_seed).collect::<PyResult<Vec<_>>>()?,
+        Err(_) => vec![one_seed(seeds)?],
+    };
     if given.len() != worlds {
         return Err(PyValueError::new_err(format!("seeds: there are {} of them for {worlds} worlds", given.len())));
     }
@@ -91,7 +101,7 @@ pub(crate) fn tell(
     commands: Vec<Command>,
     mut act: impl FnMut(usize, &Command) -> barchan::Result<()>,
 ) -> PyResult<()> {
-    // What is no number, or the greatest, goes first: if a command is refused for its numbers, it is that one, and no world has taken any.
+    // What is no number, or the greatest, goes first: if a command is refused for how large it is, it is that one, and no world has taken any.
     let mut told: Vec<(usize, Command)> = worlds.into_iter().zip(commands).collect();
     told.sort_by(|(_, a), (_, b)| b.greatest().total_cmp(&a.greatest()));
     for (world, command) in told {

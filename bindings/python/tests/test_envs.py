@@ -322,6 +322,9 @@ def test_the_bare_environment():
         worlds.reset(seeds=[1])
     with pytest.raises(ValueError, match="failures"):
         barchan.Environment(TASK, failures="ignore")
+    for wrong in (True, [True, False]):
+        with pytest.raises(TypeError, match="seeds are whole numbers"):
+            barchan.Environment(TASK, worlds=2, seed=wrong)
 
 
 def test_a_scene_of_ones_own_is_played(tmp_path):
@@ -337,6 +340,7 @@ def test_a_scene_of_ones_own_is_played(tmp_path):
     assert info["off the line [m]"][0] > 0.05
     gym = envs.TaskEnv(str(scene))
     assert gym.reset(seed=1)[0].shape == (worlds.task.observation_size,)
+    gym.worlds.push("it", [0.0, 40.0, 0.0])
     assert barchan.task(str(scene), {"observation": "heights"}).observation_size > worlds.task.observation_size
     scene.write_text(OWN.replace("[task]", "[other]"))
     with pytest.raises(barchan.BarchanError, match="other"):

@@ -775,10 +775,8 @@ impl Coupling for Robots {
     fn act(&mut self, body: &str, command: &Command) -> Result<()> {
         let path = format!("robot '{body}'");
         if let &Command::Impulse { linear, angular } = command {
-            // A robot itself is its base.
-            let body_of = |robot: &Robot| {
-                (0..robot.solids.len()).find(|i| robot.body_name(*i) == body || (*i == 0 && robot.name == body))
-            };
+            // A robot's base has the robot's name.
+            let body_of = |robot: &Robot| (0..robot.solids.len()).find(|i| robot.body_name(*i) == body);
             let hit = self.robots.iter_mut().find_map(|robot| body_of(robot).map(|i| (robot, i)));
             let Some((robot, i)) = hit else {
                 return Err(Refusal::new("there is no such body", "push a robot, a link or a free tool").at(&path));
@@ -863,13 +861,11 @@ impl Coupling for Robots {
                     Robot::at_rest(&robot.model, robot.floating, &robot.solids, state, robot.path.orders(0.0, 0.0))
                 })
                 .flatten();
-            steps.push(
-                step.ok_or_else(|| format!("the state of robot '{}' is not this one's, or not finite", robot.name))?,
-            );
+            steps.push(step.ok_or_else(|| format!("the state of {} is not this one's, or not finite", robot.path()))?);
         }
         for ((robot, state), step) in self.robots.iter_mut().zip(states).zip(steps) {
             (robot.state, robot.step) = (state, step);
-            robot.correct_held().ok_or_else(|| format!("the state of robot '{}' has no motion", robot.name))?;
+            robot.correct_held().ok_or_else(|| format!("the state of {} has no motion", robot.path()))?;
         }
         self.wrenches = wrenches.into_iter().map(|(force, torque)| Wrench { force, torque }).collect();
         self.counts = counts;

@@ -1,4 +1,4 @@
-//! A scene's tools that answer, beside robots: each a robot of one body, so that robots that touch it are solved together with it.
+//! A scene's tools that answer, beside robots or one another: each a robot of one body, so that what touches it is solved together with it.
 
 use super::dynamics::rates_of;
 use super::joints::{Gains, Order};

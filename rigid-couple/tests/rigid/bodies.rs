@@ -318,7 +318,7 @@ fn the_registry_makes_rigid_couplings() {
 }
 
 #[test]
-fn a_step_of_rapier_is_cheap() {
+fn a_step_of_free_bodies_is_cheap() {
     // A free body must not cost more than the ground around it: a box on a floor, and a stack of three.
     within("seconds for a step of a body", quickest(lone()), 1e-3);
     within("seconds for a step of a stack", quickest(stack()), 1e-3);

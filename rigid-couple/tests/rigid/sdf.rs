@@ -194,7 +194,8 @@ fn mesh_distance_far_away_is_extrapolated() {
 fn meshes_that_are_no_solid_are_refused() {
     // What a sweep leaves beside where it began is joined, and a hole is none of that.
     let beside = |by: f64| {
-        let mut corners = box_mesh(DVec3::splat(0.5));
+        // Its corners lie between two cells of a millionth of its side.
+        let mut corners = box_mesh(DVec3::splat(0.5 + 0.25e-6));
         let x = corners[0][0];
         corners[0][0] = x + DVec3::new(0.0, by, 0.0);
         TriangleMesh::new(corners)

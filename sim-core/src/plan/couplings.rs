@@ -53,7 +53,9 @@ pub(super) fn make_couplings(registry: &Registry, scene: &Scene) -> Result<Coupl
     let has_own = |kind: &str| scene.coupling.iter().any(|spec| spec.kind == kind);
     let implied = |path: &str, kind: &'static str| Call { path: path.to_owned(), kind, name: kind, parameters: &none };
     let tools = (!scene.tool.is_empty() && !has_own(TOOL_COUPLING)).then(|| implied("tool", TOOL_COUPLING));
-    let robots = (scene.has_robots() && !has_own(ROBOT_COUPLING)).then(|| implied("robot", ROBOT_COUPLING));
+    // Who registers one coupling of tools alone has all of them there.
+    let is_known = !scene.robot.is_empty() || registry.coupling(ROBOT_COUPLING).is_ok();
+    let robots = (scene.has_robots() && is_known && !has_own(ROBOT_COUPLING)).then(|| implied("robot", ROBOT_COUPLING));
     let mut couplings = Couplings::default();
     let mut bodies = BTreeMap::new();
     for call in tools.into_iter().chain(robots).chain(entries) {

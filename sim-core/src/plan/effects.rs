@@ -313,7 +313,12 @@ impl Plan {
         if scene.tools_apart().next().is_none() && scene.coupling.iter().any(|c| c.kind == TOOL_COUPLING) {
             add(
                 format!("declared but unused: coupling {TOOL_COUPLING}"),
-                "the scene has no tool".to_owned(),
+                if scene.tool.is_empty() {
+                    "the scene has no tool"
+                } else {
+                    "its tools are solved with robots or one another"
+                }
+                .to_owned(),
                 "costs nothing".to_owned(),
             );
         }

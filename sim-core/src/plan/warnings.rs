@@ -111,7 +111,11 @@ impl Plan {
     /// Says which probes look where no ground ever is.
     fn probes_beyond(&self) -> Vec<String> {
         let world = &self.scene.world;
-        let is_beyond = |min: Vec3, max: Vec3| (0..3).any(|d| max[d] < world.min[d] || min[d] > world.max[d]);
+        // Until they are sorted, particles that went over a periodic side stand a cell beyond it.
+        let coarsest = self.cell_widths[self.cell_widths.len() - 1];
+        let over = |d: usize| if world.is_periodic(d) { coarsest } else { 0.0 };
+        let is_beyond =
+            |min: Vec3, max: Vec3| (0..3).any(|d| max[d] < world.min[d] - over(d) || min[d] > world.max[d] + over(d));
         // Heights are those of a point's image within the world.
         let point_is_beyond = |point: [f64; 2]| {
             (0..2).any(|d| !world.is_periodic(d) && (point[d] < world.min[d] || point[d] > world.max[d]))

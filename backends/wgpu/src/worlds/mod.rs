@@ -96,7 +96,7 @@ impl LawTexts {
                 return Err(differs(
                     "the kinds of their tools and robots",
                     world,
-                    "give all worlds the same robots, as many tools that move freely or stand beside them, and meshes or height fields in all or in none (what a world has no use for may be out of reach); or step such worlds in batches of their own, or on the backend cpu",
+                    "give all worlds the same robots, as many tools that move freely beside others, of as many parts, and meshes or height fields in all or in none (what a world has no use for may be out of reach); or step such worlds in batches of their own, or on the backend cpu",
                 ));
             }
             *known = own.or(known.take());

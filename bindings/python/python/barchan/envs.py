@@ -51,6 +51,8 @@ class _Played:
         failures: Literal["raise", "end"],
     ) -> None:
         self.task = task(task_name, parameters)
+        # Of a scene of one's own, its file.
+        self._task_name = task_name
         self.worlds: Environment | None = None
         self._options: dict[str, Any] = {"backend": backend, "precision": precision, "adapter": adapter, "threads": threads, "failures": failures}
         self._parameters = parameters
@@ -73,7 +75,7 @@ class _Played:
     def begin(self, seeds: list[int]) -> NDArray[np.float32]:
         """New episodes of all worlds."""
         if self.worlds is None:
-            self.worlds = Environment(self.task.name, worlds=len(seeds), seed=seeds, parameters=self._parameters, **self._options)
+            self.worlds = Environment(self._task_name, worlds=len(seeds), seed=seeds, parameters=self._parameters, **self._options)
             return self.worlds.observations()
         return self.worlds.reset(seeds=seeds)
 

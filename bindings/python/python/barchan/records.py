@@ -180,7 +180,7 @@ class Robot:
     joint_rate: NDArray[np.float64]
     """Its rate [rad/s or m/s], (joints,)."""
     joint_torque: NDArray[np.float64]
-    """Torque [N m] or force [N] of its motor over the last step, (joints,)."""
+    """Torque [N m] or force [N] that its motor gives as it is now, by what it was told last, (joints,): after a step, that of the step."""
     links: dict[str, Link] = field(repr=False)
     """Links with mass or shape by name, the base first."""
 
@@ -229,7 +229,7 @@ class RobotArrays:
     joint_rate: NDArray[np.float64]
     """Its rate [rad/s or m/s], (w, joints)."""
     joint_torque: NDArray[np.float64]
-    """Torque [N m] or force [N] of its motor over the last step, (w, joints)."""
+    """Torque [N m] or force [N] that its motor gives as it is now, by what it was told last, (w, joints): after a step, that of the step."""
     link_position: NDArray[np.float64]
     """Centre of mass of each link [m], (w, links, 3)."""
     ground_force: NDArray[np.float64]
