@@ -115,20 +115,14 @@ impl Rigid {
     }
 
     fn rigid_world(&self) -> Option<RigidWorld> {
-        let scene = &self.scene;
-        let free = self.bodies.iter().filter(|body| body.is_free());
-        let size = free.map(|body| body.extent).reduce(f64::min)?;
-        let mut world = RigidWorld::new(&scene.world, size);
-        for (body, tool) in self.bodies.iter().zip(&scene.tool) {
-            let role = match (&body.mover, &tool.motion) {
-                (Mover::Free { mass, inertia, .. }, Motion::Free { restitution, .. }) => {
-                    Role::Free { mass: *mass, inertia: *inertia, restitution: *restitution }
-                }
-                (Mover::Fixed, _) => Role::Fixed,
-                _ => Role::Driven,
-            };
-            world.add(&body.shape, &body.state.pose, body.contact, role);
-        }
+        // A free tool is here only where it is the only one.
+        let ([body], [tool]) = (&self.bodies[..], &self.scene.tool[..]) else { return None };
+        let (&Mover::Free { mass, inertia, .. }, &Motion::Free { restitution, .. }) = (&body.mover, &tool.motion)
+        else {
+            return None;
+        };
+        let mut world = RigidWorld::new(&self.scene.world, body.extent);
+        world.add(&body.shape, &body.state.pose, body.contact, Role::Free { mass, inertia, restitution });
         Some(world)
     }
 
@@ -240,40 +234,30 @@ impl Rigid {
         Some(leash)
     }
 
-    /// Lets rapier move the free bodies, with the velocities that gravity and ground gave them.
-    fn move_free_bodies(&mut self, dt: f64) -> Result<()> {
-        let Some(world) = &mut self.world else {
+    /// Lets rapier move the free body, if there is one, with the velocities that gravity and ground gave it.
+    fn move_free_body(&mut self, dt: f64) -> Result<()> {
+        let (Some(world), [body]) = (&mut self.world, &mut self.bodies[..]) else {
             return Ok(());
         };
-        for (i, body) in self.bodies.iter().enumerate() {
-            // A backend may have moved bodies since.
-            world.place(i, if body.is_free() { &body.state.pose } else { &body.from });
-            world.show(i, body.state.present);
-            match body.mover {
-                Mover::Fixed => {}
-                Mover::Path(_) | Mover::Velocity | Mover::Servo(_) => world.send(i, &body.target),
-                Mover::Free { .. } => {
-                    world.throw(i, &Twist { linear: body.state.twist.linear, angular: body.midway_spin(dt) });
-                }
-            }
-        }
+        let Some(free) = body.answering() else {
+            return Ok(());
+        };
+        // A backend may have moved it since.
+        world.place(0, &body.state.pose);
+        world.show(0, body.state.present);
+        world.throw(0, &Twist { linear: body.state.twist.linear, angular: body.midway_spin(dt) });
         world.step(dt).map_err(|what| Error::Body {
             path: format!("coupling '{}'", self.name),
             what: format!("the solver of contacts among rigid bodies failed: {what}"),
             mend: "lower time.step, or start from another snapshot".into(),
         })?;
-        for (i, body) in self.bodies.iter_mut().enumerate() {
-            let Some(free) = body.answering().filter(|_| body.is_free()) else {
-                continue;
-            };
-            let (pose, twist) = world.state(i);
-            // Without contact the velocities come back as they went in, and the angular momentum stays to the last bit.
-            body.state.angular_momentum += free.inertia * (twist.angular - body.midway_spin(dt));
-            body.state.twist = Twist { linear: twist.linear, angular: body.spin(&pose) };
-            body.state.pose = pose;
-            if !(pose.position.is_finite() && pose.rotation.is_finite() && body.state.twist.is_finite()) {
-                return Err(body.lost("motion"));
-            }
+        let (pose, twist) = world.state(0);
+        // Without contact the velocities come back as they went in, and the angular momentum stays to the last bit.
+        body.state.angular_momentum += free.inertia * (twist.angular - body.midway_spin(dt));
+        body.state.twist = Twist { linear: twist.linear, angular: body.spin(&pose) };
+        body.state.pose = pose;
+        if !(pose.position.is_finite() && pose.rotation.is_finite() && body.state.twist.is_finite()) {
+            return Err(body.lost("motion"));
         }
         Ok(())
     }
@@ -463,17 +447,13 @@ impl Coupling for Rigid {
         let answering = self.bodies.iter().filter(|body| body.answering().is_some());
         let group = |one| DeviceGroup { words: FREE_WORDS, told: 0, rates: 0, bodies: vec![body(one)] };
         let groups: Vec<_> = answering.map(group).collect();
-        let servos = self.bodies.iter().filter(|body| matches!(body.mover, Mover::Servo(_))).count();
-        // A device knows the one or the other.
-        if servos > 0 && servos < groups.len() {
-            return None;
-        }
+        let is_guided = self.bodies.iter().any(|body| matches!(body.mover, Mover::Servo(_)));
         let tables = self.device_tables()?;
         let wgsl = tables.wgsl();
         let Tables { table, samples } = tables;
         let answer = match groups.len() {
             0 => "",
-            count if count == servos => include_str!("servo.wgsl"),
+            _ if is_guided => include_str!("servo.wgsl"),
             _ => include_str!("free.wgsl"),
         };
         let answer = DeviceAnswer { wgsl: answer.to_owned(), groups };
@@ -539,7 +519,7 @@ impl Coupling for Rigid {
             self.counts.deep_nodes += deep_nodes;
             self.counts.unconverged += unconverged;
         }
-        if self.moved == Moved::InTurns { self.move_free_bodies(self.dt) } else { Ok(()) }
+        if self.moved == Moved::InTurns { self.move_free_body(self.dt) } else { Ok(()) }
     }
 
     fn book(&mut self, wrenches: &[Wrench]) {
@@ -551,7 +531,7 @@ impl Coupling for Rigid {
             for body in self.bodies.iter_mut().filter(|body| matches!(body.mover, Mover::Servo(_))) {
                 body.target = body.state.pose.advanced(&body.state.twist, dt);
             }
-            self.move_free_bodies(dt)?;
+            self.move_free_body(dt)?;
         }
         for body in self.bodies.iter_mut().filter(|body| !body.is_free()) {
             body.state.pose = body.target;

@@ -16,7 +16,7 @@ use rapier3d_f64::prelude::{
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-/// Rapier's world, with one of its bodies for each tool of the scene.
+/// Rapier's world, with bodies in the order in which they are added.
 pub struct RigidWorld {
     /// Shared with whoever [keeps](RigidWorld::keep) it; a step then changes a copy.
     physics: Arc<PhysicsWorld>,
@@ -28,8 +28,6 @@ pub struct RigidWorld {
 pub enum Role {
     /// It stays.
     Fixed,
-    /// It goes where it is told.
-    Driven,
     /// It is moved by contacts.
     Free {
         /// Mass [kg].
@@ -86,11 +84,10 @@ impl RigidWorld {
         Self { physics: Arc::new(physics), handles: Vec::new() }
     }
 
-    /// Adds the next tool of the scene.
+    /// Adds a body.
     pub fn add(&mut self, shape: &Sdf, pose: &Pose, contact: Contact, role: Role) {
         let (kind, restitution) = match role {
             Role::Fixed => (RigidBodyType::Fixed, 0.0),
-            Role::Driven => (RigidBodyType::KinematicPositionBased, 0.0),
             Role::Free { restitution, .. } => (RigidBodyType::Dynamic, restitution),
         };
         let mut body = RigidBodyBuilder::new(kind)
@@ -126,12 +123,6 @@ impl RigidWorld {
         if self.physics.bodies[handle].is_enabled() != present {
             self.changed().bodies[handle].set_enabled(present);
         }
-    }
-
-    /// Tells where a driven body is at the end of the step.
-    pub fn send(&mut self, body: usize, pose: &Pose) {
-        let handle = self.handles[body];
-        self.changed().bodies[handle].set_next_kinematic_position(to_rapier(pose));
     }
 
     /// Sets a free body's velocity at the start of the step.

@@ -2,10 +2,10 @@
 
 use crate::device::layout::ENTRY;
 use crate::device::memory::{
-    BODY, BODY_HEAD, BODY_STATE, Extent, GROUP_HEAD, Layer, OF_LAYERS, PER_LAYER, PER_STEP, PER_SUM, SOFT_WORDS,
-    StepConstants, TOUCH, WATCHED, WorldCells,
+    BODY, BODY_HEAD, BODY_STATE, GROUP_HEAD, OF_LAYERS, PER_LAYER, PER_STEP, PER_SUM, SOFT_WORDS, TOUCH, WATCHED,
 };
 use crate::device::status::{self, Halt};
+use crate::device::uniforms::{Extent, Layer, StepConstants, WorldCells};
 use crate::worlds::{sleep, soft};
 use std::mem::offset_of;
 

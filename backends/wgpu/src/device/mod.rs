@@ -5,6 +5,7 @@ pub(crate) mod layout;
 pub(crate) mod memory;
 pub(crate) mod probed;
 pub(crate) mod status;
+pub(crate) mod uniforms;
 
 use barchan_core::{Error, Result};
 use std::collections::BTreeMap;

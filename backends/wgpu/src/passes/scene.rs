@@ -1,7 +1,8 @@
 //! What a scene fixes for all passes, as WGSL.
 
 use crate::device::layout::{BESIDE, BESIDE_BY, LEFT_HOME, ROUNDS, TOGETHER, vectors_for};
-use crate::device::memory::{MAX_STEPS, WorldCells, is_stored};
+use crate::device::memory::{MAX_STEPS, is_stored};
+use crate::device::uniforms::WorldCells;
 use crate::passes::bodies::RIMS_BESIDE;
 use crate::passes::laws::is_asked_on_device;
 use crate::passes::since_sort::most_drift;

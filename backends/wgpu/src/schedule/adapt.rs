@@ -3,8 +3,9 @@
 
 use crate::device::kernel::{Role, Sorted};
 use crate::device::layout::{self, Homes, Planes};
-use crate::device::memory::{StepConstants, WATCHED, Writes, read, read_all, slots_for, with_room};
+use crate::device::memory::{WATCHED, Writes, read, read_all, slots_for, with_room};
 use crate::device::status::{BLOCKS, COUNTED, HALTED};
+use crate::device::uniforms::StepConstants;
 use crate::passes::scene::rest_vectors;
 use crate::schedule::Dispatch;
 use crate::schedule::batch::WgpuBatch;

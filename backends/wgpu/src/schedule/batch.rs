@@ -2,7 +2,8 @@
 
 use crate::device::Gpu;
 use crate::device::kernel::{Kernel, Role};
-use crate::device::memory::{Asked, Extent, Layer, Memory, Particles, StepConstants, Writes};
+use crate::device::memory::{Asked, Memory, Particles, Writes};
+use crate::device::uniforms::{Extent, Layer, StepConstants};
 use crate::passes::since_sort::most_drift;
 use crate::passes::{Kernels, scene};
 use crate::readback::Readback;

@@ -1,8 +1,9 @@
 //! Contact whose law runs on the host: the nodes near the bodies of all worlds, there and back.
 
 use crate::device::kernel::Role;
-use crate::device::memory::{NEAR_BLOCK, StepConstants, Writes, read};
+use crate::device::memory::{NEAR_BLOCK, Writes, read};
 use crate::device::status::{AT_START, HALTED, Halt, MOVE, NEAR, Status};
+use crate::device::uniforms::StepConstants;
 use crate::passes::since_sort::SinceSort;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::near::{Around, Found, Near, are_within, behind, boxes_of, by_world};

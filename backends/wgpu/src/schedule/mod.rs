@@ -15,7 +15,7 @@ pub(crate) mod steps;
 pub(crate) mod submission;
 
 use crate::device::kernel::Kernel;
-use crate::device::memory::StepConstants;
+use crate::device::uniforms::StepConstants;
 use crate::passes::{Kernels, Set};
 use crate::worlds::world::most_need;
 use barchan_core::schedule::{Call, Needs, Stage, beginning, ending};

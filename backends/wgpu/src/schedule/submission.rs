@@ -1,11 +1,11 @@
 //! Submissions: what they hold, how they are encoded and timed, what they bring back.
 
 use crate::device::kernel::{Groups, Role, Sorted};
-use crate::device::memory::Answering;
 use crate::device::memory::{
-    Extent, MAX_STEPS, Memory, Piece, STEP_STRIDE, StepConstants, Writes, pad, read, with_mapped, with_room,
+    Answering, MAX_STEPS, Memory, Piece, STEP_STRIDE, Writes, pad, read, with_mapped, with_room,
 };
 use crate::device::status::{AT_START, GIVERS, GROWN, HALT_STEP, HALTED, Halt, NEW_BLOCKS, NEW_NODE_BLOCKS, Status};
+use crate::device::uniforms::{Extent, StepConstants};
 use crate::device::{Gpu, MANY};
 use crate::schedule::batch::{PLACES, WgpuBatch};
 use crate::schedule::groups::states;

@@ -6,7 +6,7 @@ pub(crate) mod soft;
 pub(crate) mod stiffness;
 pub(crate) mod world;
 
-use crate::device::memory::{Layer, WorldCells};
+use crate::device::uniforms::{Layer, WorldCells};
 use crate::device::{Gpu, lacks, layout};
 use crate::passes::couplings::Laws;
 use crate::passes::scene;

@@ -1,8 +1,9 @@
 //! The host's record of a world of a batch.
 
 use crate::device::layout::{Periods, by_level};
-use crate::device::memory::{Layer, MAX_SLOTS, MAX_STEPS};
+use crate::device::memory::{MAX_SLOTS, MAX_STEPS};
 use crate::device::probed::Exact;
+use crate::device::uniforms::Layer;
 use crate::passes::laws::{hardens, is_asked_on_device, is_asked_on_host};
 use crate::passes::scene::{may_sleep, parameter_vectors, parameters_of, softs, stiffens};
 use crate::passes::since_sort::SinceSort;
