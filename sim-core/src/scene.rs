@@ -670,7 +670,7 @@ impl Tool {
     /// Is it there in a step that begins at `time` [s]?
     pub fn is_present(&self, time: f64) -> bool {
         let now = time + INSTANT;
-        self.from <= now && self.until.is_none_or(|until| now < until)
+        self.from <= now && now < self.until.unwrap_or(f64::INFINITY)
     }
 
     /// The area that faces along an axis [m²], of a box that is not turned: in plane strain that between the walls.
