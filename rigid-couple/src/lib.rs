@@ -32,7 +32,8 @@ pub use robot::Robots;
 pub use sdf::Sdf;
 
 use barchan_core::plan::{ROBOT_COUPLING, TOOL_COUPLING};
-use barchan_core::{Error, Registry, Result};
+use barchan_core::scene::World;
+use barchan_core::{Aabb, Error, Registry, Result, Scene};
 use std::sync::Arc;
 
 /// Registers the couplings "rigid" and "robots", and the reader of triangle meshes.
@@ -71,8 +72,20 @@ impl Refusal {
     fn new(what: impl Into<String>, mend: impl Into<String>) -> Self {
         Self { what: what.into(), mend: mend.into() }
     }
+    /// That something would be outside the world.
+    fn outside(world: &World) -> Self {
+        let what = format!("it would be outside the world, from {:?} to {:?}", world.min, world.max);
+        Self::new(what, "give a position in the world, or above it")
+    }
     /// The error for the thing at `path`, a key path or a name.
     pub fn at(self, path: &str) -> Error {
         Error::Body { path: path.into(), what: self.what, mend: self.mend }
     }
+}
+
+/// Does a body in such a box reach into the world, or is it above it, to fall in?
+fn is_within_reach(bounds: &Aabb, scene: &Scene) -> bool {
+    let mut reached = scene.reached_box();
+    reached.max[2] = f64::INFINITY;
+    bounds.meets(&reached)
 }

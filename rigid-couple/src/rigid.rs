@@ -2,13 +2,13 @@
 
 pub(crate) mod body;
 
-use crate::Refusal;
 use crate::grip::{self, REACH};
 use crate::motion::Pose;
 use crate::sdf::{self, Sdf};
 use crate::surface::{mesh_of, placed, planes_of};
 use crate::tables::{Listed, Tables, row, rows};
 use crate::world::{RigidWorld, Role};
+use crate::{Refusal, is_within_reach};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{
     Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Kept, Leashes, Moved, Placed,
@@ -574,6 +574,15 @@ impl Coupling for Rigid {
             if blow != [DVec3::ZERO; 2] && before == (body.state.twist, body.state.angular_momentum) {
                 let what = "it moves as it is told or guided, whatever pushes it that way";
                 return Err(Refusal::new(what, "give it a motion = { free = {} }").at(&path));
+            }
+            return Ok(());
+        }
+        if let Command::Place(placement) = command {
+            let before = body.state;
+            body.place(placement).map_err(|refusal| refusal.at(&path))?;
+            if !is_within_reach(&body.shape.bounds(&body.state.pose, 0.0), &self.scene) {
+                body.state = before;
+                return Err(Refusal::outside(&self.scene.world).at(&path));
             }
             return Ok(());
         }

@@ -9,6 +9,7 @@
 //!    6 × 6 matrix of each link;
 //! 5. positions move on with the rates, which are corrected so that momentum changes by impulses alone, and energy by their work.
 
+mod act;
 mod balance;
 pub mod coupling;
 mod device;
@@ -30,12 +31,11 @@ pub mod visual;
 pub use coupling::Robots;
 pub use model::RobotModel;
 
-use crate::Refusal;
 use crate::motion::Pose;
 use crate::rigid::body::Guided;
 use balance::Correction;
+use barchan_core::Aabb;
 use barchan_core::contact::{System, Twist};
-use barchan_core::{Aabb, Vec3};
 use dynamics::Place;
 use glam::{DMat3, DVec3};
 use joints::{Gains, Impulse, Joint, Order};
@@ -218,29 +218,6 @@ impl Robot {
             Joint { order, dt: 0.0, ..self.joint(drive) }.motor(*rate).value
         };
         orders.into_iter().zip(rates).enumerate().map(torque).collect()
-    }
-
-    /// Takes a blow on one of its bodies: an impulse through that one's centre of mass [N s], and an angular impulse [N m s].
-    ///
-    /// # Errors
-    /// If they are not finite, or nothing of it can move that way.
-    pub(crate) fn take_blow(&mut self, body: usize, linear: Vec3, angular: Vec3) -> Result<(), Refusal> {
-        let [linear, angular] = [linear, angular].map(DVec3::from_array);
-        if !(linear.is_finite() && angular.is_finite()) {
-            return Err(Refusal::new("the impulse is not finite", "give finite numbers"));
-        }
-        let lost = || Refusal::new("its motion is lost", "start from the last snapshot");
-        self.take_over().ok_or_else(lost)?;
-        let mut gained = DVector::zeros(self.step.rates.len());
-        self.step.places[self.solids[body]].add_wrench(linear, angular, &mut gained);
-        if gained.iter().all(|x| *x == 0.0) && (linear, angular) != (DVec3::ZERO, DVec3::ZERO) {
-            let what = format!("'{}' cannot move that way", self.body_name(body));
-            return Err(Refusal::new(what, "push what is free, or a link that joints let go"));
-        }
-        let factor = self.step.mass.clone().cholesky().ok_or_else(lost)?;
-        self.step.rates += factor.solve(&gained);
-        self.state.rates.copy_from_slice(self.step.rates.as_slice());
-        Ok(())
     }
 
     /// Says which joints that nothing drives have an armature that matters.

@@ -57,16 +57,36 @@ pub enum Command {
         /// World frame [N m s].
         angular: Vec3,
     },
+    /// Be elsewhere, or move otherwise, at once: what it is told besides goes on. Ground where it comes to be is pushed out.
+    Place(Placement),
+}
+
+/// Where a body is put, and how it moves there. What is left out stays as it is.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Placement {
+    /// Origin of a robot's base frame; a tool's centre of mass, or origin if it moves as it is told [m].
+    pub position: Option<Vec3>,
+    /// Orientation quaternion (w, x, y, z).
+    pub rotation: Option<[f64; 4]>,
+    /// Velocity of that point; world frame [m/s].
+    pub velocity: Option<Vec3>,
+    /// World frame [rad/s].
+    pub angular_velocity: Option<Vec3>,
+    /// Of a robot's joints, in the order in which it lists them: angles of revolute joints [rad], displacements of prismatic ones [m].
+    pub joints: Option<Vec<f64>>,
+    /// Their rates, in the same order [rad/s or m/s].
+    pub joint_rates: Option<Vec<f64>>,
 }
 
 impl Command {
-    /// What it gives, for messages: "a twist", "joint targets", "joint torques" or "an impulse".
+    /// What it gives, for messages: "a twist", "joint targets", "joint torques", "an impulse" or "another place".
     pub fn name(&self) -> &'static str {
         match self {
             Self::Twist { .. } => "a twist",
             Self::JointTargets(_) => "joint targets",
             Self::JointTorques(_) => "joint torques",
             Self::Impulse { .. } => "an impulse",
+            Self::Place(_) => "another place",
         }
     }
 
@@ -78,6 +98,12 @@ impl Command {
                 greatest(&[*linear, *angular].concat())
             }
             Self::JointTargets(numbers) | Self::JointTorques(numbers) => greatest(numbers),
+            Self::Place(Placement { position, rotation, velocity, angular_velocity, joints, joint_rates }) => {
+                let axes = [position, velocity, angular_velocity].into_iter().flatten().flatten();
+                let all =
+                    axes.chain(rotation.iter().flatten()).chain([joints, joint_rates].into_iter().flatten().flatten());
+                greatest(&all.copied().collect::<Vec<f64>>())
+            }
         }
     }
 }

@@ -49,7 +49,7 @@ mod zoned;
 
 pub use archive::Tile;
 pub use backend::{Backend, Engine, StepReport};
-pub use coupling::{Aabb, BodyState, Command, Coupling, JointState, NearParticle, NodeBatch, Wrench};
+pub use coupling::{Aabb, BodyState, Command, Coupling, JointState, NearParticle, NodeBatch, Placement, Wrench};
 pub use error::{Error, Result};
 pub use flow::Newcomer;
 pub use ledger::Ledger;

@@ -6,7 +6,7 @@ use crate::coupling::Aabb;
 use crate::material::ErrorBuffer;
 use crate::plan::PlannedMaterial;
 use crate::probe::invariants;
-use crate::scene::{Body, Scene, Wall};
+use crate::scene::{Body, Motion, Scene, Wall};
 
 /// Shears at which a material is asked what it bears: what yields at all has yielded there.
 const SHEARS: [f64; 2] = [0.25, 0.5];
@@ -40,6 +40,8 @@ pub(crate) struct Ends {
 pub(crate) struct Runout {
     /// Does it flow apart along x, along y?
     pub(crate) along: [bool; 2],
+    /// Is it a fluid, which moves as soon as something stirs it, whatever holds it?
+    pub(crate) is_fluid: bool,
     /// The box that it may come to fill, inside the world [m]; none where it stays about where it is.
     pub(crate) reaches: Option<Aabb>,
 }
@@ -78,7 +80,7 @@ pub(crate) fn of_body<'a>(
     let flows = |d: usize| (ends.sides[d] != [false; 2] || ends.below) && (is_fluid || height > LOW * half(d));
     let along = if collapsing.is_empty() || !is_upright { [false; 2] } else { [flows(0), flows(1)] };
     if scene.levels.reach > 0 || !flies && along == [false; 2] {
-        return Runout { along, reaches: None };
+        return Runout { along, is_fluid, reaches: None };
     }
     let is_open = world.walls.z_min == Wall::Open;
     let drop = if ends.below && !is_open { bounds.min[2] - world.min[2] } else { 0.0 };
@@ -121,7 +123,17 @@ pub(crate) fn of_body<'a>(
     if ends.below && along != [false; 2] {
         reaches.min[2] = world.min[2];
     }
-    Runout { along, reaches: Some(reaches.intersection(&scene.world_box())) }
+    Runout { along, is_fluid, reaches: Some(reaches.intersection(&scene.world_box())) }
+}
+
+/// Does anything in a scene stir a fluid that walls hold: what flows in or out, flies or flows apart, a tool that moves, a robot? One that nothing stirs stays in balance to rounding
+/// on a lattice, and only there.
+pub(crate) fn is_stirred(scene: &Scene, runouts: &[Runout]) -> bool {
+    let flows = !scene.inflow.is_empty() || !scene.outflow.is_empty();
+    let moves = !scene.robot.is_empty() || scene.tool.iter().any(|tool| !matches!(tool.motion, Motion::Fixed));
+    let falls = runouts.iter().any(|runout| runout.along != [false; 2]);
+    let flies = scene.body.iter().any(|body| [body.velocity, body.angular_velocity] != [[0.0; 3]; 2]);
+    flows || moves || falls || flies
 }
 
 /// Does a face of a material that is so high [m] fall down?

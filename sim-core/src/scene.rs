@@ -507,8 +507,8 @@ pub struct Body {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum Sampling {
-    /// `stagger` along those of x and y in which a body stands free, if its material does not hold up a face of the body's height, and for sources of such a
-    /// material; else `lattice`.
+    /// `stagger` along those of x and y in which a body stands free, if its material does not hold up a face of the body's height, for sources of such a
+    /// material, and for fluids that walls hold while something stirs them; else `lattice`.
     #[default]
     Auto,
     /// A cubic lattice. What flows far apart from it comes to rest as upright sheets, one or two cells wide.

@@ -6,10 +6,11 @@ mod lattice;
 use crate::coupling::Aabb;
 use crate::levels::{Regions, SPLIT_AHEAD};
 use crate::plan::{PlannedMaterial, Precision};
+use crate::runout::{self, Runout};
 use crate::scene::{Body, Sampling, Scene, Shape, World, cross};
 use crate::solid::Solid;
 use crate::zoned::{Zoned, Zones};
-use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, runout, settle, solid};
+use crate::{Coupling, Error, LevelPhase, ParticleList, ParticleState, Registry, Result, Vec3, settle, solid};
 use lattice::{Axis, Site, stagger};
 pub(crate) use lattice::{on_level, uniform};
 use std::collections::{BTreeSet, HashMap};
@@ -260,26 +261,37 @@ impl Terrain {
         (0..self.scene.body.len()).filter(is_staggered).collect()
     }
 
-    /// With particles where the bodies' sampling has them, which depends on what holds the bodies.
+    /// With particles where the bodies' sampling has them, which depends on what holds the bodies and on what moves.
     fn placed(mut self) -> Self {
-        for (index, body) in self.scene.body.iter().enumerate() {
-            let (own, bounds) = (|| self.plots.iter().filter(|plot| plot.index == index), self.bounds_of(index));
-            let spacing = self.scene.spacing(body);
-            let volume = || own().map(|plot| self.about_how_many_of(plot)).sum::<f64>() * spacing.powi(3);
-            let materials = own().map(|plot| &self.materials[plot.material]);
-            let runout = runout::of_body(&self.scene, body, &bounds, || self.ends(index, &bounds), volume, materials);
+        let runouts: Vec<Runout> =
+            self.scene.body.iter().enumerate().map(|(index, body)| self.runout(index, body)).collect();
+        let scene = &self.scene;
+        let (is_stirred, in_slice) = (runout::is_stirred(scene, &runouts), scene.world.plane_strain.is_some());
+        for ((index, body), runout) in scene.body.iter().enumerate().zip(runouts) {
             self.reaches.extend(runout.reaches);
+            let mixes =
+                |d: usize| runout.is_fluid && is_stirred && !scene.world.is_periodic(d) && !(d == 1 && in_slice);
+            let along = [0, 1].map(|d| runout.along[d] || mixes(d));
             let places = match body.sampling {
                 Sampling::Lattice => Places::Lattice,
-                Sampling::Stagger => Places::Stagger([true, self.scene.world.plane_strain.is_none()]),
+                Sampling::Stagger => Places::Stagger([true, !in_slice]),
                 Sampling::Jitter => Places::Jitter,
                 // Ground that comes and goes is compared with its lattice.
-                Sampling::Auto if self.scene.levels.reach > 0 || runout.along == [false; 2] => Places::Lattice,
-                Sampling::Auto => Places::Stagger(runout.along),
+                Sampling::Auto if scene.levels.reach > 0 || along == [false; 2] => Places::Lattice,
+                Sampling::Auto => Places::Stagger(along),
             };
             self.plots.iter_mut().filter(|plot| plot.index == index).for_each(|plot| plot.places = places);
         }
         self
+    }
+
+    /// Where a body may get.
+    fn runout(&self, index: usize, body: &Body) -> Runout {
+        let (own, bounds) = (|| self.plots.iter().filter(|plot| plot.index == index), self.bounds_of(index));
+        let spacing = self.scene.spacing(body);
+        let volume = || own().map(|plot| self.about_how_many_of(plot)).sum::<f64>() * spacing.powi(3);
+        let materials = own().map(|plot| &self.materials[plot.material]);
+        runout::of_body(&self.scene, body, &bounds, || self.ends(index, &bounds), volume, materials)
     }
 
     /// What holds a body: the world's ends, where a layer reaches them, and bodies beside and below its middle.

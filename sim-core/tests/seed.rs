@@ -95,6 +95,17 @@ fn what_flows_apart_is_staggered_along_its_free_axes() {
     // A fluid flows however low it is, and so does what hangs.
     assert_eq!(places("-9.81", fluid, [0.1, 0.1, 0.0], [0.9, 0.9, 0.08], ""), [true, true, false]);
     assert_eq!(places("-9.81", sand, [0.0, 0.0, 0.6], [1.0, 1.0, 1.0], ""), [true, true, false]);
+    // What a tank holds stays in balance on a lattice, until something stirs it; sand does not flow there.
+    let drain = "[[sink]]\nshape = { box = { min = [0, 0, -0.2], max = [0.2, 0.2, 0] } }";
+    let blade = "[[tool]]\nname = 'blade'\nposition = [0.5, 0.5, 0.6]\nshape = { sphere = { radius = 0.1 } }\nmotion = { velocity = {} }";
+    let tank = [1.0, 1.0, 0.2];
+    assert_eq!(places("-9.81", fluid, [0.0; 3], tank, ""), [false; 3]);
+    for stirred in [drain, blade, "velocity = [0.1, 0, 0]"] {
+        assert_eq!(places("-9.81", fluid, [0.0; 3], tank, stirred), [true, true, false], "{stirred}");
+        assert_eq!(places("-9.81", sand, [0.0; 3], tank, stirred), [false; 3], "{stirred}");
+    }
+    let still = blade.replace("{ velocity = {} }", "'fixed'");
+    assert_eq!(places("-9.81", fluid, [0.0; 3], tank, &still), [false; 3]);
 }
 
 /// Where sides are no whole spacings, points stand nearer to the faces, and none is moved out: as many stay as on a lattice.

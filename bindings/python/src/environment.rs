@@ -1,7 +1,9 @@
 //! The class `Environment`: worlds of a task.
 
 use crate::errors::{OrRaise, raised};
-use crate::given::{Numbers, blows, check_count, check_world, named, one_seed, precision, seeds, tell, whole_seed};
+use crate::given::{
+    Numbers, blows, check_count, check_world, first_or_each, named, placements, precision, seeds, tell,
+};
 use crate::machine::Shared;
 use crate::picture::{array, check_part};
 use crate::simulation::Simulation;
@@ -108,6 +110,25 @@ impl Environment {
 }
 
 impl Inner {
+    /// Begins episodes, of which nothing is recorded yet.
+    fn begin(
+        &mut self,
+        py: Python<'_>,
+        episodes: &[(usize, u64)],
+        begin: impl FnOnce(&mut Worlds) -> barchan::Result<()> + Send,
+    ) -> PyResult<()> {
+        let Self { environment, recordings, ended, .. } = self;
+        py.detach(|| begin(environment)).map_err(|error| raised(py, error, None))?;
+        for &(world, seed) in episodes {
+            let recording = &mut recordings[world];
+            recording.actions.clear();
+            recording.rewards.clear();
+            (recording.seed, recording.success) = (seed, false);
+            ended[world] = false;
+        }
+        Ok(())
+    }
+
     /// What every world sees.
     fn observations<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let worlds = self.recordings.len();
@@ -153,10 +174,7 @@ impl Environment {
         }
         let seeds = match seed {
             None => (0..worlds as u64).collect(),
-            Some(given) => match one_seed(given) {
-                Ok(first) => (first..).take(worlds).map(whole_seed).collect::<PyResult<_>>()?,
-                Err(_) => seeds(given, worlds)?,
-            },
+            Some(given) => first_or_each(given, worlds)?,
         };
         let options = Options {
             backend: backend.to_owned(),
@@ -258,6 +276,48 @@ impl Environment {
         tell(py, self.worlds, worlds, blows, |world, command| all.world_mut(world).act(body, command))
     }
 
+    /// Puts a body elsewhere, as `Simulation.place` does, and begins the episodes of these worlds anew from there, with the seeds that they have. Call it behind `reset`, to
+    /// begin where no scene of the task does. An episode's file does not hold it.
+    ///
+    /// Returns the observations of all worlds, float32 of shape (worlds, numbers). Raises what `Simulation.place` raises.
+    #[pyo3(signature = (
+        body, *, position=None, rotation=None, velocity=None, angular_velocity=None, joints=None, joint_rates=None, worlds=None
+    ))]
+    #[allow(clippy::too_many_arguments, reason = "each is a keyword of Python's")]
+    fn place<'py>(
+        &self,
+        py: Python<'py>,
+        body: &str,
+        position: Option<Numbers<'_>>,
+        rotation: Option<Numbers<'_>>,
+        velocity: Option<Numbers<'_>>,
+        angular_velocity: Option<Numbers<'_>>,
+        joints: Option<Numbers<'_>>,
+        joint_rates: Option<Numbers<'_>>,
+        worlds: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Bound<'py, PyArray2<f32>>> {
+        let mut inner = self.inner(py)?;
+        let chosen = Simulation::chosen(worlds, self.worlds)?;
+        let given = [position, rotation, velocity, angular_velocity, joints, joint_rates];
+        let placements = placements(given, chosen.len())?;
+        let all = inner.environment.worlds_mut();
+        tell(py, self.worlds, chosen.clone(), placements, |world, command| all.world_mut(world).act(body, command))?;
+        let episodes: Vec<(usize, u64)> = chosen.iter().map(|&world| (world, inner.environment.seed(world))).collect();
+        inner.begin(py, &episodes, |environment| environment.begin(&episodes))?;
+        inner.observations(py)
+    }
+
+    /// A simulation of its own that goes on from a world as it is now: its particles, sensors and ledger can be read, its scene says what was drawn, and the episode does not
+    /// notice what is done to it. On the same backend.
+    #[pyo3(signature = (world=0))]
+    fn simulation(&self, py: Python<'_>, world: usize) -> PyResult<Simulation> {
+        check_world(world, self.worlds)?;
+        let mut inner = self.inner(py)?;
+        let environment = &mut inner.environment;
+        let state = py.detach(move || environment.worlds_mut().world_mut(world).state()).or_raise(py)?;
+        Simulation::from_state(py, &state, self.options.clone())
+    }
+
     /// Begins new episodes: in all worlds, or in those in `worlds` (a number or a list), with the same seeds as before or with `seeds`, one for each of them.
     /// A scene that comes back costs a copy, together for all worlds; a new one, by a seed that changes it, is seeded.
     ///
@@ -272,17 +332,9 @@ impl Environment {
         let mut inner = self.inner(py)?;
         let chosen = Simulation::chosen(worlds, self.worlds)?;
         let seeds = seeds.map(|seeds| self::seeds(seeds, chosen.len())).transpose()?;
-        let Inner { environment, recordings, ended, .. } = &mut *inner;
-        let seed = |i: usize| seeds.as_ref().map_or_else(|| environment.seed(chosen[i]), |seeds| seeds[i]);
+        let seed = |i: usize| seeds.as_ref().map_or_else(|| inner.environment.seed(chosen[i]), |seeds| seeds[i]);
         let episodes: Vec<(usize, u64)> = chosen.iter().enumerate().map(|(i, &world)| (world, seed(i))).collect();
-        py.detach(|| environment.reset(&episodes)).map_err(|error| raised(py, error, None))?;
-        for &(world, seed) in &episodes {
-            let recording = &mut recordings[world];
-            recording.actions.clear();
-            recording.rewards.clear();
-            (recording.seed, recording.success) = (seed, false);
-            ended[world] = false;
-        }
+        inner.begin(py, &episodes, |environment| environment.reset(&episodes))?;
         if chosen.len() == self.worlds {
             inner.torn = false;
         }

@@ -1,7 +1,7 @@
 //! What Python gives: numbers, worlds and seeds, and commands to bodies.
 
 use crate::errors::{OrRaise, raised};
-use barchan::{Command, Precision};
+use barchan::{Command, Placement, Precision};
 use numpy::{AllowTypeChange, PyArrayLikeDyn};
 use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -57,6 +57,14 @@ pub(crate) fn seeds(seeds: &Bound<'_, PyAny>, worlds: usize) -> PyResult<Vec<u64
     Ok(given)
 }
 
+/// A seed for each of so many worlds: a number, from which they count, or each its own.
+pub(crate) fn first_or_each(given: &Bound<'_, PyAny>, worlds: usize) -> PyResult<Vec<u64>> {
+    match one_seed(given) {
+        Ok(first) => (first..).take(worlds).map(whole_seed).collect(),
+        Err(_) => seeds(given, worlds),
+    }
+}
+
 /// Name of an adapter, or its number.
 pub(crate) fn named(adapter: &Bound<'_, PyAny>) -> PyResult<String> {
     Ok(adapter.str()?.to_string())
@@ -77,11 +85,18 @@ pub(crate) fn per_world(values: Option<&Numbers<'_>>, what: &str, worlds: usize)
     }
 }
 
+/// As many numbers as `names` says, if there are any.
+fn numbers<const N: usize>(values: Option<Vec<f64>>, what: &str, names: &str) -> PyResult<Option<[f64; N]>> {
+    let some = |values: Vec<f64>| {
+        let count = values.len();
+        values.try_into().map_err(|_| PyValueError::new_err(format!("{what}: {count} numbers; it takes {names}")))
+    };
+    values.map(some).transpose()
+}
+
 /// Numbers along x, y and z; zeros if there are none.
 pub(crate) fn axes(values: Option<Vec<f64>>, what: &str) -> PyResult<[f64; 3]> {
-    let Some(values) = values else { return Ok([0.0; 3]) };
-    let count = values.len();
-    values.try_into().map_err(|_| PyValueError::new_err(format!("{what}: {count} numbers; it takes x, y and z")))
+    Ok(numbers(values, what, "x, y and z")?.unwrap_or_default())
 }
 
 /// Blows for so many worlds.
@@ -93,6 +108,36 @@ pub(crate) fn blows(impulse: &Numbers<'_>, angular: Option<&Numbers<'_>>, worlds
     all.zip(per_world(angular, "angular", worlds)?).map(blow).collect()
 }
 
+/// What can be said of another place.
+const PLACE: [&str; 6] = ["position", "rotation", "velocity", "angular_velocity", "joints", "joint_rates"];
+
+/// Places for so many worlds, from what is given of [`PLACE`]: a row for all of them, or one for each.
+pub(crate) fn placements(given: [Option<Numbers<'_>>; 6], worlds: usize) -> PyResult<Vec<Command>> {
+    if given.iter().all(Option::is_none) {
+        let known = PLACE.join(", ");
+        return Err(PyTypeError::new_err(format!("it is not said where to put it; give one of {known}")));
+    }
+    let mut columns = Vec::new();
+    for (what, values) in PLACE.iter().zip(&given) {
+        columns.push(per_world(values.as_ref(), what, worlds)?.into_iter());
+    }
+    let place = |_| {
+        let mut next = |i: usize| (columns[i].next().flatten(), PLACE[i]);
+        let axes = |(values, what)| numbers(values, what, "x, y and z");
+        let (position, (rotation, what)) = (axes(next(0))?, next(1));
+        Ok(Command::Place(Placement {
+            position,
+            rotation: numbers(rotation, what, "w, x, y and z")?,
+            velocity: axes(next(2))?,
+            angular_velocity: axes(next(3))?,
+            joints: next(4).0,
+            joint_rates: next(5).0,
+        }))
+    };
+    (0..worlds).map(place).collect()
+}
+
+/// Gives worlds of `count` a command each.
 /// Gives worlds of `count` a command each.
 pub(crate) fn tell(
     py: Python<'_>,

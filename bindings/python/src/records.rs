@@ -1,7 +1,7 @@
 //! What simulations say, as the records of `barchan/records.py`. Every array is a copy.
 
 use barchan::surface::Surface;
-use barchan::{BodyState, JointState, LinkState, Plan, Reading, RobotState, Task, Vec3, Wrench};
+use barchan::{BodyState, Fields, JointState, LinkState, ParticleList, Plan, Reading, RobotState, Task, Vec3, Wrench};
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::IntoPyObjectExt;
 use pyo3::prelude::*;
@@ -56,6 +56,35 @@ pub(crate) fn particles<'py>(
     add("body", asked.body, vector(py, reading.body));
     add("material", asked.material, vector(py, reading.material));
     add("level", asked.level, vector(py, reading.level));
+    fields.extend(more);
+    record(py, "Particles", &fields)
+}
+
+/// The same of all particles of some lists, in f64.
+pub(crate) fn exact_particles<'py>(
+    py: Python<'py>,
+    lists: &[ParticleList],
+    asked: Fields,
+    more: Option<Field<'py>>,
+) -> PyResult<Bound<'py, PyAny>> {
+    fn all<T>(lists: &[ParticleList], of: impl Fn(&ParticleList, usize) -> T + Copy) -> Vec<T> {
+        lists.iter().flat_map(|list| (0..list.len()).map(move |i| of(list, i))).collect()
+    }
+    let mut fields = vec![("position", rows(py, all(lists, ParticleList::position))?)];
+    let mut add = |name, wanted: bool, array: &dyn Fn() -> PyResult<Bound<'py, PyAny>>| {
+        if wanted {
+            fields.push((name, array()?));
+        }
+        PyResult::Ok(())
+    };
+    add("velocity", asked.velocity, &|| rows(py, all(lists, |list, i| list.velocity[i])))?;
+    add("affine", asked.affine, &|| rows(py, all(lists, |list, i| list.affine[i])))?;
+    add("mass", asked.mass, &|| Ok(vector(py, all(lists, |list, i| list.mass[i]))))?;
+    add("volume0", asked.volume0, &|| Ok(vector(py, all(lists, |list, i| list.volume0[i]))))?;
+    add("id", asked.id, &|| Ok(vector(py, all(lists, |list, i| list.id[i]))))?;
+    add("body", asked.body, &|| Ok(vector(py, all(lists, |list, i| list.body[i]))))?;
+    add("material", asked.material, &|| Ok(vector(py, all(lists, |list, _| list.material as u16))))?;
+    add("level", asked.level, &|| Ok(vector(py, all(lists, |list, _| list.level as u8))))?;
     fields.extend(more);
     record(py, "Particles", &fields)
 }

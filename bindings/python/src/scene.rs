@@ -53,6 +53,14 @@ pub(crate) fn read_each(
     }
 }
 
+/// Which of so many worlds have a random seed by overrides of their own.
+pub(crate) fn own_seeds(overrides: Option<&Bound<'_, PyAny>>, worlds: usize) -> PyResult<Vec<bool>> {
+    if overrides.is_some_and(|given| given.is_instance_of::<PyDict>()) {
+        return Ok(vec![false; worlds]);
+    }
+    each(overrides, worlds)?.iter().map(|one| one.as_ref().map_or(Ok(false), |one| one.contains("seed"))).collect()
+}
+
 /// Overrides for each of so many worlds: one dict for all, or a list with one for each.
 pub(crate) fn each<'py>(
     overrides: Option<&Bound<'py, PyAny>>,

@@ -2,7 +2,8 @@
 
 use crate::errors::{OrRaise, exception, raised};
 use crate::given::{
-    Numbers, axes, blows, check_count, check_world, named, per_world, precision, seeds, tell, whole_seed,
+    Numbers, axes, blows, check_count, check_world, first_or_each, named, per_world, placements, precision, seeds,
+    tell, whole_seed,
 };
 use crate::machine::{Machine, Shared};
 use crate::state::State;
@@ -10,7 +11,7 @@ use crate::{arrays, known, records, scene};
 use barchan::probe::Filter;
 use barchan::scene::Probe;
 use barchan::stress::pressure;
-use barchan::{Aabb, Closest, Command, Fields, Options, Reading, Scene, Simulation as World};
+use barchan::{Aabb, Closest, Command, Fields, Options, Precision, Reading, Scene, Simulation as World, Spot};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -18,6 +19,18 @@ use pyo3::types::{PyBool, PyDict, PyTuple};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};
 
+/// What is read of particles unless it is said what.
+const ALL: Fields = Fields {
+    exact: true,
+    velocity: true,
+    affine: false,
+    mass: true,
+    volume0: true,
+    id: true,
+    body: true,
+    material: true,
+    level: true,
+};
 /// Names of what can be read of particles besides where they are.
 const FIELDS: [&str; 8] = ["velocity", "affine", "mass", "volume0", "id", "body", "material", "level"];
 
@@ -38,7 +51,7 @@ const FIELDS: [&str; 8] = ["velocity", "affine", "mass", "volume0", "id", "body"
 /// threads
 ///     Worker threads; 0: as many as the machine has. They change no bit of what is simulated.
 /// seed
-///     Random seed in place of the scene's. World w has seed + w.
+///     Random seed in place of the scene's: world w has seed + w. Or a list with a seed for each world.
 /// overrides
 ///     What to change in the scene, by key path: `{"world.cell": 0.02, "tool.cube.motion.free.mass": 5}`. A list with such a dict for each world makes worlds that differ. On a GPU
 ///     those of a batch have cell width, extent, walls, gravity, laws, and the number and kinds of tools in common.
@@ -63,6 +76,14 @@ impl Simulation {
         self.options
             .lock()
             .map_err(|_| exception(py, "BusyError", "a call of this simulation has broken down half way"))
+    }
+
+    /// One that goes on from a state.
+    pub(crate) fn from_state(py: Python<'_>, state: &barchan::State, options: Options) -> PyResult<Self> {
+        let registry = known(py)?;
+        let one = py.detach(|| World::from_state(&registry, state, &options)).or_raise(py)?;
+        let scene = state.scene().clone();
+        Ok(Self { machine: Shared::new(Machine::One(Box::new(one))), scene, options: Mutex::new(options) })
     }
 
     /// Looks at a world without holding Python up.
@@ -117,9 +138,18 @@ impl Simulation {
     ) -> PyResult<Self> {
         check_count(py, worlds)?;
         let mut scenes = scene::read_each(scene, overrides, worlds)?;
-        let seed = seed.map(|seed| Ok::<_, PyErr>(seeds(seed, 1)?[0])).transpose()?;
+        let given = seed.map(|seed| first_or_each(seed, worlds)).transpose()?;
+        let own = scene::own_seeds(overrides, worlds)?;
         for (world, scene) in scenes.iter_mut().enumerate() {
-            scene.seed = whole_seed(seed.unwrap_or(scene.seed) + world as u64)?;
+            scene.seed = match &given {
+                Some(_) if own[world] => {
+                    let what = format!("seed: the overrides of world {world} give it one, too; leave out one of them");
+                    return Err(PyValueError::new_err(what));
+                }
+                Some(seeds) => seeds[world],
+                None if own[world] => scene.seed,
+                None => whole_seed(scene.seed + world as u64)?,
+            };
         }
         let options = Options {
             backend: backend.to_owned(),
@@ -257,7 +287,7 @@ impl Simulation {
     /// Reads particles, as a `Particles` record of arrays in one order. Only what is asked for is read, and brought from a GPU.
     ///
     /// `fields` are names of what is read besides `position`: "velocity", "affine", "mass", "volume0", "id", "body", "material", "level"; without names, all
-    /// but "affine". `region` is a box, ((x, y, z), (x, y, z)) [m]: particles outside are left out.
+    /// but "affine". Numbers are float64 in an f64 run, else float32. `region` is a box, ((x, y, z), (x, y, z)) [m]: particles outside are left out.
     #[pyo3(signature = (*fields, region=None, world=0))]
     fn particles<'py>(
         &self,
@@ -296,6 +326,11 @@ impl Simulation {
             }
         });
         let region = region.transpose()?;
+        if self.options(py)?.precision == Precision::F64 {
+            let is_wanted = |spot: &Spot| region.is_none_or(|region| region.contains(spot.position));
+            let ground = self.look(py, world, |one| one.ground_where(&is_wanted))?;
+            return records::exact_particles(py, &ground.lists, fields, None);
+        }
         let reading = self.look(py, world, |one| one.read(region, fields))?.or_raise(py)?;
         records::particles(py, reading, None)
     }
@@ -319,27 +354,21 @@ impl Simulation {
         let read = |one: &World| {
             // Within one of their sides.
             let near = one.ground_where(&|spot| (2.0 * (spot.position[axis] - at)).abs().powi(3) <= spot.volume0);
-            let fields = Fields {
-                exact: true,
-                velocity: true,
-                affine: false,
-                mass: true,
-                volume0: true,
-                id: true,
-                body: true,
-                material: true,
-                level: true,
-            };
-            let (mut reading, mut pressures) = (Reading::new(fields, [0.0; 3]), Vec::new());
+            let mut pressures = Vec::new();
             for list in &near.lists {
-                reading.add_list(list, None);
                 let all: Vec<usize> = (0..list.len()).collect();
                 pressures.extend(pressure(&one.plan().materials[list.material as usize], list, &all)?);
             }
-            Ok((reading, pressures))
+            Ok((near.lists, pressures))
         };
-        let (reading, pressures) = self.look(py, world, read)?.or_raise(py)?;
-        records::particles(py, reading, Some(("pressure", records::vector(py, pressures))))
+        let (lists, pressures) = self.look(py, world, read)?.or_raise(py)?;
+        let pressure = Some(("pressure", records::vector(py, pressures)));
+        if self.options(py)?.precision == Precision::F64 {
+            return records::exact_particles(py, &lists, ALL, pressure);
+        }
+        let mut reading = Reading::new(ALL, [0.0; 3]);
+        lists.iter().for_each(|list| reading.add_list(list, None));
+        records::particles(py, reading, pressure)
     }
 
     /// Heights of the surface of the soft ground at points, float64 of shape (n,) [m]; `points` has the shape (n, 2) [m].
@@ -609,6 +638,49 @@ impl Simulation {
         tell(py, machine.len(), worlds, blows, |world, command| machine.world_mut(world).act(body, command))
     }
 
+    /// Puts a robot, a free tool, or a tool that is driven by velocity elsewhere, at once. What is left out stays as it is, and what it is told besides goes on.
+    ///
+    /// Parameters
+    /// ----------
+    /// body
+    ///     Its name; a robot's links go with it.
+    /// position
+    ///     Origin of a robot's base frame; a free tool's centre of mass; a driven tool's origin [m], (3,).
+    /// rotation
+    ///     Orientation quaternion (w, x, y, z), (4,).
+    /// velocity, angular_velocity
+    ///     Of that point [m/s] and [rad/s], (3,), along the world's axes.
+    /// joints, joint_rates
+    ///     Of a robot, in the order of its joint_names [rad or m] and [rad/s or m/s], (joints,).
+    /// worlds
+    ///     A number or a list; all, if left out. Arrays with a row for each of them give each its own.
+    ///
+    /// Ground stays where it is: what comes to be within it is pushed out. Motors go on to what they were told last, at first to where joints are at the start of the scene.
+    ///
+    /// Raises `BodyError` if there is no such body, it cannot be there or move that way, or numbers do not fit.
+    #[pyo3(signature = (
+        body, *, position=None, rotation=None, velocity=None, angular_velocity=None, joints=None, joint_rates=None, worlds=None
+    ))]
+    #[allow(clippy::too_many_arguments, reason = "each is a keyword of Python's")]
+    fn place(
+        &self,
+        py: Python<'_>,
+        body: &str,
+        position: Option<Numbers<'_>>,
+        rotation: Option<Numbers<'_>>,
+        velocity: Option<Numbers<'_>>,
+        angular_velocity: Option<Numbers<'_>>,
+        joints: Option<Numbers<'_>>,
+        joint_rates: Option<Numbers<'_>>,
+        worlds: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<()> {
+        let mut machine = self.machine(py)?;
+        let worlds = Self::chosen(worlds, machine.len())?;
+        let given = [position, rotation, velocity, angular_velocity, joints, joint_rates];
+        let placements = placements(given, worlds.len())?;
+        tell(py, machine.len(), worlds, placements, |world, command| machine.world_mut(world).act(body, command))
+    }
+
     /// Sets worlds back to their start: all, or those in `worlds` (a number or a list). With `seeds`, one for each of them, they start from these random
     /// seeds instead of those that they have. With `overrides`, a dict or a list with one for each of them, their scenes change from there on.
     #[pyo3(signature = (worlds=None, seeds=None, *, overrides=None))]
@@ -669,10 +741,8 @@ impl Simulation {
     #[pyo3(signature = (*, world=0))]
     fn fork(&self, py: Python<'_>, world: usize) -> PyResult<Self> {
         let state = self.look(py, world, World::state)?.or_raise(py)?;
-        let (registry, options) = (known(py)?, self.options(py)?.clone());
-        let one = py.detach(|| World::from_state(&registry, &state, &options)).or_raise(py)?;
-        let scene = state.scene().clone();
-        Ok(Self { machine: Shared::new(Machine::One(Box::new(one))), scene, options: Mutex::new(options) })
+        let options = self.options(py)?.clone();
+        Self::from_state(py, &state, options)
     }
 
     /// Makes worlds copies of world `source`, which then go on as it does: those in `targets` (a number or a list). On a GPU nothing leaves it. They take over its random

@@ -190,6 +190,29 @@ def test_wrong_actions_are_named():
             envs.TaskVectorEnv(TASK, **options)
 
 
+def test_an_episode_can_begin_elsewhere_and_its_world_be_read():
+    worlds = barchan.Environment("QuadrupedWalk-lite", worlds=2, seed=0)
+    first = worlds.reset()
+    (name, dog), = worlds.simulation(1).robots().items()
+    seen = worlds.place(name, joints=dog.joint_position + 0.1, joint_rates=np.ones(12), worlds=1)
+    np.testing.assert_array_equal(seen[0], first[0])
+    assert np.any(seen[1] != first[1]) and not worlds.steps_taken.any()
+    copy = worlds.simulation(1)
+    there = copy.robots()[name]
+    np.testing.assert_allclose(there.joint_position, dog.joint_position + 0.1, atol=1e-12)
+    np.testing.assert_array_equal(there.joint_rate, np.ones(12))
+    assert len(copy.particles()) == worlds.particle_counts[1] and "QuadrupedWalk-lite" in copy.scene()
+    # What is done to the copy, the episode does not notice.
+    copy.push(name, [5, 0, 0])
+    np.testing.assert_array_equal(worlds.observations(), seen)
+    worlds.step(worlds.heuristic())
+    np.testing.assert_array_equal(worlds.reset(), first)
+    with pytest.raises(barchan.BodyError, match="limits"):
+        worlds.place(name, joints=np.full(12, 9.0))
+    with pytest.raises(IndexError, match="world 2"):
+        worlds.simulation(2)
+
+
 def test_a_wrong_seed_leaves_the_environment_as_it_was():
     one = envs.TaskEnv(TASK)
     assert one.reset(seed=7)[1] == {"seed": 7}

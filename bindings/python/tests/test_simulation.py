@@ -51,6 +51,35 @@ def test_particles_are_copies_of_what_was_asked_for(press):
         simulation.particles(region=(0, 0, 0))
 
 
+def test_particles_of_an_f64_run_are_read_in_f64(press):
+    simulation = barchan.Simulation(press, precision="f64")
+    simulation.act("plate", linear=[0, 0, -0.5])
+    simulation.advance(0.02)
+    for particles in [simulation.particles(), simulation.cut(0.2)]:
+        assert particles.velocity.dtype == particles.mass.dtype == particles.volume0.dtype == np.float64
+        assert particles.id.dtype == np.uint64 and len(np.unique(particles.id)) == len(particles)
+    particles = simulation.particles("velocity", "mass", "affine")
+    assert np.any(particles.velocity != particles.velocity.astype(np.float32))
+    momentum = (particles.mass[:, None] * particles.velocity).sum(axis=0)
+    np.testing.assert_allclose(momentum, simulation.ledger()["momentum"], rtol=1e-12, atol=1e-14)
+    lower = simulation.particles("mass", region=((0, 0, 0), (1, 1, 0.1)))
+    assert 0 < len(lower) < len(particles) and lower.position[:, 2].max() <= 0.1
+
+
+def test_a_seed_that_is_given_is_that_of_its_world(press):
+    def seeds(**given):
+        worlds = barchan.Simulation(press, worlds=2, **given)
+        return [int(next(line for line in worlds.scene(world=w).splitlines() if line.startswith("seed")).split("=")[1]) for w in (0, 1)]
+
+    assert seeds(seed=5) == [5, 6] and seeds(seed=[7, 7]) == [7, 7]
+    assert seeds(overrides=[{"seed": 3}, {"seed": 3}]) == [3, 3]
+    assert seeds(overrides=[{"seed": 3}, {}])[0] == 3 and seeds(overrides={"seed": 3}) == [3, 4]
+    with pytest.raises(ValueError, match="world 1"):
+        seeds(seed=5, overrides=[{}, {"seed": 3}])
+    with pytest.raises(ValueError, match="3 of them for 2 worlds"):
+        seeds(seed=[1, 2, 3])
+
+
 def test_heights_are_those_of_the_block_and_the_floor(press):
     press["body"][0]["sampling"] = "lattice"
     simulation = barchan.Simulation(press)
@@ -147,6 +176,34 @@ def test_a_push_is_momentum(dog):
         dog.push("cat", [1, 0, 0])
     with pytest.raises(ValueError, match="x, y and z"):
         dog.push("dog", [1, 0])
+
+
+def test_a_robot_can_be_put_elsewhere(dog):
+    dog.advance(0.01)
+    before = dog.robots()["dog"]
+    joints = np.tile([0.0, 0.9, -1.7], 4)
+    dog.place("dog", position=before.position + [0.1, 0, 0.2], joints=joints, joint_rates=np.zeros(12), velocity=[0, 0, 1])
+    after = dog.robots()["dog"]
+    np.testing.assert_allclose(after.position - before.position, [0.1, 0, 0.2], atol=1e-12)
+    np.testing.assert_array_equal(after.joint_position, joints)
+    np.testing.assert_array_equal(after.rotation, before.rotation)
+    assert not after.joint_rate.any()
+    # A quarter turn about the vertical.
+    dog.place("dog", rotation=[0.5**0.5, 0, 0, 0.5**0.5])
+    np.testing.assert_allclose(dog.robots()["dog"].rotation, [0.5**0.5, 0, 0, 0.5**0.5], atol=1e-12)
+    dog.advance(0.02)
+    for wrong, message in [
+        ({"position": [np.nan, 0, 0]}, "position"),
+        ({"position": [99, 0, 0]}, "outside the world"),
+        ({"joints": np.zeros(3)}, "12 joints"),
+        ({"joints": np.full(12, 9.0)}, "limits"),
+    ]:
+        with pytest.raises(barchan.BodyError, match=message):
+            dog.place("dog", **wrong)
+    with pytest.raises(ValueError, match="w, x, y and z"):
+        dog.place("dog", rotation=[1, 0, 0])
+    with pytest.raises(TypeError, match="where to put it"):
+        dog.place("dog")
 
 
 def test_torques_of_motors_are_those_of_a_restored_state(dog):

@@ -193,6 +193,18 @@ impl Environment {
         }
         let states: Vec<_> = from_kept.iter().map(|&(world, kept)| (world, &self.starts[kept])).collect();
         self.worlds.restore(&states)?;
+        self.begin(episodes)
+    }
+
+    /// Begins new episodes in some worlds as these are now, each with its seed: behind [`reset`](Self::reset), where something was put elsewhere
+    /// ([`worlds_mut`](Self::worlds_mut), [`Command::Place`](barchan_core::Command::Place)).
+    ///
+    /// # Errors
+    /// The task's own, and the backend's.
+    ///
+    /// # Panics
+    /// If there is no such world.
+    pub fn begin(&mut self, episodes: &[(usize, u64)]) -> Result<()> {
         for &(world, seed) in episodes {
             let player = &mut self.players[world];
             player.episode = self.task.reset(self.worlds.world(world), seed)?;

@@ -302,18 +302,21 @@ pub use barchan_core::{Observer, Output};
 #[doc(inline)]
 pub use barchan_core::{Coupling, NodeBatch};
 
-/// What a body is told to do. Tools that are driven by velocity take twists; a free ball takes none.
+/// What a body is told to do. Tools that are driven by velocity take twists; a free ball takes none, but can be put elsewhere.
 ///
 /// ```
-/// use barchan::{Command, Options, Simulation};
+/// use barchan::{Command, Options, Placement, Simulation};
 ///
 /// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
 /// let error = simulation.act("ball", &Command::Twist { linear: [0.1, 0.0, 0.0], angular: [0.0; 3] }).unwrap_err();
 /// assert!(error.to_string().contains("ball"));
+/// let higher = Placement { position: Some([0.2, 0.2, 0.3]), ..Placement::default() };
+/// simulation.act("ball", &Command::Place(higher))?;
+/// assert_eq!(simulation.bodies()[0].position[2], 0.3);
 /// # Ok::<(), barchan::Error>(())
 /// ```
 #[doc(inline)]
-pub use barchan_core::Command;
+pub use barchan_core::{Command, Placement};
 
 /// A robot: what its URDF says, and how its joints are. Targets come in the order of [`Simulation::joints`].
 ///

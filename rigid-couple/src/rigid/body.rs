@@ -7,7 +7,7 @@ use crate::sdf::Sdf;
 use barchan_core::contact::{System, Twist};
 use barchan_core::scene::{Contact, Motion, Servo, Tool};
 use barchan_core::surface::Mesh;
-use barchan_core::{BodyState, Error, Result, Scene, Vec3};
+use barchan_core::{BodyState, Error, Placement, Result, Scene, Vec3};
 use glam::{DMat3, DVec3};
 use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
@@ -249,6 +249,46 @@ impl Body {
         }
     }
 
+    /// Puts it elsewhere, or lets it move otherwise, as far as `placement` says so, if it is free; one that is driven by velocity may be put elsewhere.
+    ///
+    /// # Errors
+    /// If numbers are not finite, or it does not move that way. Then it stays as it is.
+    pub(super) fn place(&mut self, placement: &Placement) -> Result<(), Refusal> {
+        let Placement { position, rotation, velocity, angular_velocity, joints, joint_rates } = placement;
+        if joints.is_some() || joint_rates.is_some() {
+            return Err(Refusal::new(
+                "it has no joints, and positions or rates of joints are asked for",
+                "leave them out",
+            ));
+        }
+        let is_driven = matches!(self.mover, Mover::Velocity);
+        if !self.is_free() && !is_driven {
+            let what = "it stays, or moves as its keyframes or its guide say";
+            return Err(Refusal::new(what, "give it a motion = { free = {} } or { velocity = {} }"));
+        }
+        if is_driven && (velocity.is_some() || angular_velocity.is_some()) {
+            return Err(Refusal::new("it moves as it is told, and a velocity is asked for", "give it a twist"));
+        }
+        let mut state = self.state;
+        if let Some(position) = position {
+            state.pose.position = vector(*position, "the position")?;
+        }
+        if let Some(rotation) = rotation {
+            state.pose.rotation = rotation_from(*rotation)?;
+        }
+        if let Some(velocity) = velocity {
+            state.twist.linear = vector(*velocity, "the velocity")?;
+        }
+        if let Some(angular) = angular_velocity {
+            state.twist.angular = vector(*angular, "the angular velocity")?;
+        }
+        if let Mover::Free { inertia, .. } = self.mover {
+            state.angular_momentum = turned(inertia, &state.pose) * state.twist.angular;
+        }
+        self.state = state;
+        Ok(())
+    }
+
     /// Its mass [kg] and its inertia about the centre of mass, body frame [kg m²], if it is free.
     pub(crate) fn free(&self) -> Option<(f64, DMat3)> {
         match self.mover {
@@ -330,7 +370,7 @@ pub(super) fn turned(tensor: DMat3, pose: &Pose) -> DMat3 {
     rotation * tensor * rotation.transpose()
 }
 
-pub(super) fn vector(value: Vec3, key: &str) -> Result<DVec3, Refusal> {
+pub(crate) fn vector(value: Vec3, key: &str) -> Result<DVec3, Refusal> {
     let v = DVec3::from_array(value);
     if v.is_finite() { Ok(v) } else { Err(Refusal::new(format!("{key} is {value:?}"), "give three finite numbers")) }
 }

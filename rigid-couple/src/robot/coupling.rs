@@ -2,7 +2,7 @@
 
 use super::device::{self, Roaming};
 use super::images::Images;
-use super::joints::{Gains, Order};
+use super::joints::Gains;
 use super::model::RobotModel;
 use super::motion::{self, JointPath};
 use super::sense::Sensed;
@@ -15,11 +15,11 @@ use crate::motion::{Pose, rotation_from};
 use crate::rigid::body::Guided;
 use crate::rigid::thin;
 use crate::world::friction_of;
-use crate::{Refusal, Sdf, sdf};
+use crate::{Refusal, Sdf, is_within_reach, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep, Leashes, Moved};
 use barchan_core::plan::ROBOT_COUPLING;
-use barchan_core::scene::{self, Contact, fits, named_together};
+use barchan_core::scene::{self, Contact, World, fits, named_together};
 use barchan_core::{
     BodyState, Command, Coupling, Error, JointState, NodeBatch, Result, RobotState, Scene, Surface, Vec3, Wrench,
 };
@@ -63,16 +63,10 @@ struct Counts {
 }
 
 impl Robot {
-    /// A robot that floats must reach into the world at its start, or be above it, to fall in.
-    fn check_place(&self, scene: &Scene) -> Result<(), Refusal> {
-        let (world, mut reached) = (&scene.world, scene.reached_box());
-        reached.max[2] = f64::INFINITY;
+    /// Does it reach into the world, or is it above it, to fall in? What does not float may stand anywhere.
+    pub(super) fn is_within_reach(&self, scene: &Scene) -> bool {
         let all = self.boxes().into_iter().reduce(|a, b| a.union(&b));
-        if !self.floating || all.is_none_or(|all| all.meets(&reached)) {
-            return Ok(());
-        }
-        let what = format!("robot '{}' is outside the world, from {:?} to {:?}", self.name, world.min, world.max);
-        Err(Refusal::new(what, "move the robot, or widen world.min and world.max"))
+        !self.floating || all.is_none_or(|all| is_within_reach(&all, scene))
     }
 
     /// A scene's robot.
@@ -224,42 +218,6 @@ impl Robot {
     fn path(&self) -> String {
         format!("{} '{}'", if self.is_tool { "tool" } else { "robot" }, self.name)
     }
-
-    fn act(&mut self, command: &Command) -> Result<(), Refusal> {
-        if self.is_tool {
-            let what = format!("it moves by what acts on it, and {} is asked for", command.name());
-            return Err(Refusal::new(what, "give it a motion = { velocity = {} }"));
-        }
-        let (numbers, holds) = match command {
-            Command::JointTargets(numbers) => (numbers, true),
-            Command::JointTorques(numbers) => (numbers, false),
-            other => {
-                let what = format!("it is moved by its joints, and {} is asked for", other.name());
-                return Err(Refusal::new(what, "give joint targets or joint torques"));
-            }
-        };
-        let count = self.model.drives.len();
-        if holds && count > 0 && self.gains.iter().all(|gains| gains.kp == 0.0 && gains.kd == 0.0) {
-            let what = "no motor of it has gains, so that joint targets move nothing";
-            return Err(Refusal::new(
-                what,
-                "give the robot a [[robot.motor]] with kp and kd in the scene, or give joint torques",
-            ));
-        }
-        let mend = "give a finite number for each of its joints";
-        if numbers.len() != count {
-            return Err(Refusal::new(format!("there are {} numbers for its {count} joints", numbers.len()), mend));
-        }
-        if let Some((x, drive)) = numbers.iter().zip(&self.model.drives).find(|(x, _)| !x.is_finite()) {
-            return Err(Refusal::new(format!("the number for joint '{}' is {x}", drive.name), mend));
-        }
-        let order = |(&x, drive): (&f64, &super::model::Drive)| match holds {
-            true => Order { target: x.clamp(drive.limits[0], drive.limits[1]), holds, ..Order::default() },
-            false => Order { torque: x, holds, ..Order::default() },
-        };
-        self.state.orders = Some(numbers.iter().zip(&self.model.drives).map(order).collect());
-        Ok(())
-    }
 }
 
 impl Robots {
@@ -272,7 +230,12 @@ impl Robots {
             |(i, robot): (usize, &scene::Robot)| Robot::new(robot, scene).map_err(|e| e.at(&format!("robot[{i}]")));
         let mut robots: Vec<Robot> = scene.robot.iter().enumerate().map(make).collect::<Result<_>>()?;
         for (i, robot) in robots.iter().enumerate() {
-            robot.check_place(scene).map_err(|refusal| refusal.at(&format!("robot[{i}].position")))?;
+            if !robot.is_within_reach(scene) {
+                let World { min, max, .. } = scene.world;
+                let what = format!("robot '{}' is outside the world, from {min:?} to {max:?}", robot.name);
+                let refusal = Refusal::new(what, "move the robot, or widen world.min and world.max");
+                return Err(refusal.at(&format!("robot[{i}].position")));
+            }
         }
         let mut contacts: Vec<Contact> = scene.robot.iter().map(|robot| robot.contact).collect();
         for (i, tool) in scene.tool.iter().enumerate().filter(|(_, tool)| scene.goes_with_robots(tool)) {
@@ -786,7 +749,11 @@ impl Coupling for Robots {
         let of_robots = self.robots.iter().filter(|robot| !robot.is_tool);
         let names: Vec<String> = of_robots.map(|robot| robot.name.clone()).collect();
         match self.robots.iter_mut().find(|robot| robot.name == body) {
-            Some(robot) => robot.act(command).map_err(|refusal| refusal.at(&robot.path())),
+            Some(robot) => match command {
+                Command::Place(placement) => robot.place(placement, &self.scene),
+                _ => robot.act(command),
+            }
+            .map_err(|refusal| refusal.at(&robot.path())),
             None => {
                 Err(Refusal::new("links take no commands", format!("give them to the robot: {}", names.join(", ")))
                     .at(&path))

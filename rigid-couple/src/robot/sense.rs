@@ -27,6 +27,11 @@ impl Sensed {
     pub(super) fn at_start(gravity: DVec3) -> Self {
         Self { gravity, ..Self::default() }
     }
+
+    /// As before the first step of all, where it has been put elsewhere.
+    pub(super) fn afresh(&self) -> Self {
+        Self::at_start(self.gravity)
+    }
 }
 
 impl Robot {

@@ -1,6 +1,7 @@
 //! Robots: what their files say, how they move, and how they stand on soft ground.
 
 mod meeting;
+mod placing;
 mod scenes;
 mod sensing;
 mod touching;

@@ -1,6 +1,6 @@
 //! Tools that come and go, and tools that a force pushes.
 
-use barchan::{Command, Options, Precision, Scene, Simulation};
+use barchan::{Command, Options, Placement, Precision, Scene, Simulation};
 use barchan_tests::scenes::{everywhere, left, minus, norm, options, rows, run_to, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, damped, half, material, tool};
 use glam::DVec3;
@@ -276,6 +276,52 @@ fn walls_that_move_feel_the_active_and_the_passive_pressure() {
     let [pushed, yielding] = mean(0.5, 0.8);
     within("passive pressure", (pushed / passive - 1.0).abs(), 0.08);
     within("active pressure", (yielding * passive - 1.0).abs(), 0.08);
+}
+
+/// A tool that is put elsewhere goes on from there, with the motion that it is given or has, on every backend: a free one alone and beside another, and one that is driven.
+#[test]
+fn a_tool_that_is_put_elsewhere_goes_on_from_there() {
+    let cube = |name: &str, x: f64, motion: &str| tool(name, [x, 0.0, 0.0], &half([0.1; 3]), "\"slip\"", motion);
+    let free = cube("box", 0.0, "{ free = { mass = 2, linear = [0.5, 0, 0] } }");
+    let driven = cube("driven", 2.0, "{ velocity = { linear = [0, 0.25, 0] } }");
+    for options in everywhere() {
+        for parts in [vec![free.clone()], vec![free.clone(), driven.clone()]] {
+            let mut s = start(&Head::space(0.1).time("step = 1e-3").with(&parts), &options);
+            let steps = |s: &mut Simulation| (0..50).for_each(|_| drop(s.step().unwrap()));
+            let place = |s: &mut Simulation, name: &str, placement: Placement| {
+                s.act(name, &Command::Place(placement)).unwrap();
+            };
+            steps(&mut s);
+            let upright = Placement { rotation: Some([0.0, 0.0, 1.0, 0.0]), ..Placement::default() };
+            place(&mut s, "box", Placement { position: Some([-1.0, 1.0, 0.5]), ..upright });
+            let mut expected = vec![("box", [-1.0, 1.0, 0.5], [0.5, 0.0, 0.0])];
+            if parts.len() > 1 {
+                place(&mut s, "driven", Placement { position: Some([1.0, 0.0, 0.0]), ..Placement::default() });
+                expected.push(("driven", [1.0, 0.0, 0.0], [0.0, 0.25, 0.0]));
+            }
+            steps(&mut s);
+            for (name, from, velocity) in expected {
+                let body = s.bodies().into_iter().find(|body| body.name == name).unwrap();
+                let there: [f64; 3] = std::array::from_fn(|d| from[d] + 0.05 * velocity[d]);
+                let what = format!("{} {}: {name} is off by [m]", options.backend, options.precision);
+                within(&what, norm(minus(body.position, there)), 1e-6);
+                within("its velocity [m/s]", norm(minus(body.velocity, velocity)), 1e-6);
+                let turned = if name == "box" { body.rotation[2] } else { body.rotation[0] };
+                within("its turn", 1.0 - turned.abs(), 1e-6);
+            }
+            let thrown = Placement {
+                velocity: Some([0.0, 0.0, 1.0]),
+                angular_velocity: Some([0.0, 0.0, 2.0]),
+                ..Placement::default()
+            };
+            place(&mut s, "box", thrown);
+            let before = s.bodies().into_iter().find(|body| body.name == "box").unwrap();
+            steps(&mut s);
+            let after = s.bodies().into_iter().find(|body| body.name == "box").unwrap();
+            within("thrown up, it rises as told [m]", (after.position[2] - before.position[2] - 0.05).abs(), 1e-6);
+            within("and turns so fast [rad/s]", norm(minus(after.angular_velocity, [0.0, 0.0, 2.0])), 1e-6);
+        }
+    }
 }
 
 /// A blow is momentum, once: a free tool has it at once and keeps it, on every backend, alone or beside another tool; what is driven takes none.

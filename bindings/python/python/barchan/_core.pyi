@@ -33,7 +33,7 @@ class Simulation:
         worlds: int = 1,
         adapter: str | int | None = None,
         threads: int = 0,
-        seed: int | None = None,
+        seed: int | Sequence[int] | None = None,
         overrides: dict[str, Any] | Sequence[dict[str, Any]] | None = None,
     ) -> Simulation: ...
     @staticmethod
@@ -91,6 +91,18 @@ class Simulation:
     def push(
         self, body: str, impulse: ArrayLike, *, angular: ArrayLike | None = None, worlds: _Worlds | None = None
     ) -> None: ...
+    def place(
+        self,
+        body: str,
+        *,
+        position: ArrayLike | None = None,
+        rotation: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+        joints: ArrayLike | None = None,
+        joint_rates: ArrayLike | None = None,
+        worlds: _Worlds | None = None,
+    ) -> None: ...
     def reset(
         self,
         worlds: _Worlds | None = None,
@@ -147,6 +159,19 @@ class Environment:
     def push(
         self, body: str, impulse: ArrayLike, *, angular: ArrayLike | None = None, worlds: _Worlds | None = None
     ) -> None: ...
+    def place(
+        self,
+        body: str,
+        *,
+        position: ArrayLike | None = None,
+        rotation: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        angular_velocity: ArrayLike | None = None,
+        joints: ArrayLike | None = None,
+        joint_rates: ArrayLike | None = None,
+        worlds: _Worlds | None = None,
+    ) -> NDArray[np.float32]: ...
+    def simulation(self, world: int = 0) -> Simulation: ...
     def reset(self, worlds: _Worlds | None = None, seeds: int | Sequence[int] | None = None) -> NDArray[np.float32]: ...
     def observations(self) -> NDArray[np.float32]: ...
     def step(

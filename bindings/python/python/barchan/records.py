@@ -34,18 +34,18 @@ __all__ = [
 class Particles:
     """Arrays of particles, all in one order, which is the simulation's own and changes as it goes on; ``id`` stays.
 
-    ``position`` is always there. A field that was not read is an ``AttributeError`` that says so. ``len(particles)`` is their number n.
+    ``position`` is always there. In an f64 run all numbers are float64. A field that was not read is an ``AttributeError`` that says so. ``len(particles)`` is their number n.
     """
 
     position: NDArray[np.float64]
     """Where they are in the world [m], (n, 3)."""
-    velocity: NDArray[np.float32]
+    velocity: NDArray[np.float32] | NDArray[np.float64]
     """Velocity [m/s], (n, 3)."""
-    affine: NDArray[np.float32]
+    affine: NDArray[np.float32] | NDArray[np.float64]
     """APIC affine matrix C, row by row [1/s], (n, 9)."""
-    mass: NDArray[np.float32]
+    mass: NDArray[np.float32] | NDArray[np.float64]
     """Mass [kg], (n,)."""
-    volume0: NDArray[np.float32]
+    volume0: NDArray[np.float32] | NDArray[np.float64]
     """Volume at rest [m^3], (n,)."""
     id: NDArray[np.uint64]
     """Number of the particle, the same throughout a run, (n,)."""
