@@ -1,7 +1,8 @@
 //! What simulations say, as the records of `barchan/records.py`. Every array is a copy.
 
+use barchan::export::{Column, Values};
 use barchan::surface::Surface;
-use barchan::{BodyState, Fields, JointState, LinkState, ParticleList, Plan, Reading, RobotState, Task, Vec3, Wrench};
+use barchan::{BodyState, JointState, LinkState, Plan, Reading, RobotState, Task, Vec3, Wrench};
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::IntoPyObjectExt;
 use pyo3::prelude::*;
@@ -35,15 +36,11 @@ pub(crate) fn record<'py>(py: Python<'py>, class: &str, fields: &[Field<'py>]) -
     py.import("barchan.records")?.getattr(class)?.call((), Some(&keywords))
 }
 
-/// What was read of particles: the fields that were asked for, and others, such as pressure.
-pub(crate) fn particles<'py>(
-    py: Python<'py>,
-    reading: Reading,
-    more: Option<Field<'py>>,
-) -> PyResult<Bound<'py, PyAny>> {
+/// What was read of particles: the fields that were asked for.
+pub(crate) fn particles(py: Python<'_>, reading: Reading) -> PyResult<Bound<'_, PyAny>> {
     let asked = reading.fields;
     let mut fields = vec![("position", rows(py, reading.exact)?)];
-    let mut add = |name, wanted: bool, array: Bound<'py, PyAny>| {
+    let mut add = |name, wanted: bool, array| {
         if wanted {
             fields.push((name, array));
         }
@@ -56,37 +53,36 @@ pub(crate) fn particles<'py>(
     add("body", asked.body, vector(py, reading.body));
     add("material", asked.material, vector(py, reading.material));
     add("level", asked.level, vector(py, reading.level));
-    fields.extend(more);
     record(py, "Particles", &fields)
 }
 
-/// The same of all particles of some lists, in f64.
-pub(crate) fn exact_particles<'py>(
+/// The same from columns as files have them, and others, such as pressure.
+pub(crate) fn columns<'py>(
     py: Python<'py>,
-    lists: &[ParticleList],
-    asked: Fields,
+    columns: Vec<Column>,
     more: Option<Field<'py>>,
 ) -> PyResult<Bound<'py, PyAny>> {
-    fn all<T>(lists: &[ParticleList], of: impl Fn(&ParticleList, usize) -> T + Copy) -> Vec<T> {
-        lists.iter().flat_map(|list| (0..list.len()).map(move |i| of(list, i))).collect()
+    fn shaped<T: Element>(py: Python<'_>, values: Vec<T>, components: usize) -> PyResult<Bound<'_, PyAny>> {
+        let count = values.len() / components;
+        let array = PyArray1::from_vec(py, values);
+        Ok(if components == 1 { array.into_any() } else { array.reshape([count, components])?.into_any() })
     }
-    let mut fields = vec![("position", rows(py, all(lists, ParticleList::position))?)];
-    let mut add = |name, wanted: bool, array: &dyn Fn() -> PyResult<Bound<'py, PyAny>>| {
-        if wanted {
-            fields.push((name, array()?));
-        }
-        PyResult::Ok(())
-    };
-    add("velocity", asked.velocity, &|| rows(py, all(lists, |list, i| list.velocity[i])))?;
-    add("affine", asked.affine, &|| rows(py, all(lists, |list, i| list.affine[i])))?;
-    add("mass", asked.mass, &|| Ok(vector(py, all(lists, |list, i| list.mass[i]))))?;
-    add("volume0", asked.volume0, &|| Ok(vector(py, all(lists, |list, i| list.volume0[i]))))?;
-    add("id", asked.id, &|| Ok(vector(py, all(lists, |list, i| list.id[i]))))?;
-    add("body", asked.body, &|| Ok(vector(py, all(lists, |list, i| list.body[i]))))?;
-    add("material", asked.material, &|| Ok(vector(py, all(lists, |list, _| list.material as u16))))?;
-    add("level", asked.level, &|| Ok(vector(py, all(lists, |list, _| list.level as u8))))?;
-    fields.extend(more);
-    record(py, "Particles", &fields)
+    let keywords = PyDict::new(py);
+    for Column { name, components, values } in columns {
+        let array = match values {
+            Values::F64(values) => shaped(py, values, components)?,
+            Values::F32(values) => shaped(py, values, components)?,
+            Values::U64(values) => shaped(py, values, components)?,
+            // As they are read alone.
+            Values::U16(values) if name == "level" => vector(py, values.iter().map(|&level| level as u8).collect()),
+            Values::U16(values) => shaped(py, values, components)?,
+        };
+        keywords.set_item(name, array)?;
+    }
+    if let Some((name, array)) = more {
+        keywords.set_item(name, array)?;
+    }
+    py.import("barchan.records")?.getattr("Particles")?.call((), Some(&keywords))
 }
 
 pub(crate) fn body(py: Python<'_>, body: BodyState) -> PyResult<Bound<'_, PyAny>> {

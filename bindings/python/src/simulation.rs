@@ -8,10 +8,11 @@ use crate::given::{
 use crate::machine::{Machine, Shared};
 use crate::state::State;
 use crate::{arrays, known, records, scene};
+use barchan::export::Fields as Columns;
 use barchan::probe::Filter;
 use barchan::scene::Probe;
 use barchan::stress::pressure;
-use barchan::{Aabb, Closest, Command, Fields, Options, Precision, Reading, Scene, Simulation as World, Spot};
+use barchan::{Aabb, Closest, Command, Fields, Options, Precision, Scene, Simulation as World, Spot};
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -20,19 +21,20 @@ use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};
 
 /// What is read of particles unless it is said what.
-const ALL: Fields = Fields {
-    exact: true,
-    velocity: true,
-    affine: false,
-    mass: true,
-    volume0: true,
-    id: true,
-    body: true,
-    material: true,
-    level: true,
-};
-/// Names of what can be read of particles besides where they are.
-const FIELDS: [&str; 8] = ["velocity", "affine", "mass", "volume0", "id", "body", "material", "level"];
+const USUAL: [&str; 7] = ["velocity", "mass", "volume0", "id", "body", "material", "level"];
+/// What can be read without all the rest of the particles.
+const READ: [&str; 8] = ["velocity", "affine", "mass", "volume0", "id", "body", "material", "level"];
+
+/// Fields of particles by their names, or which there are.
+fn columns(world: &World, names: &[String]) -> Result<Columns, String> {
+    let all = Columns::new(world.plan(), None).map_err(|error| error.to_string())?;
+    let others = all.names().filter(|name| *name != "position" && !READ.contains(name));
+    let known: Vec<&str> = READ.into_iter().chain(others).collect();
+    match names.iter().find(|name| !known.contains(&name.as_str())) {
+        Some(unknown) => Err(format!("particles have no '{unknown}' to be read; known are: {}", known.join(", "))),
+        None => Columns::new(world.plan(), Some(names)).map_err(|error| error.to_string()),
+    }
+}
 
 /// A scene that is put on a backend and stepped: one world, or many that are stepped together.
 ///
@@ -287,7 +289,8 @@ impl Simulation {
     /// Reads particles, as a `Particles` record of arrays in one order. Only what is asked for is read, and brought from a GPU.
     ///
     /// `fields` are names of what is read besides `position`: "velocity", "affine", "mass", "volume0", "id", "body", "material", "level"; without names, all
-    /// but "affine". Numbers are float64 in an f64 run, else float32. `region` is a box, ((x, y, z), (x, y, z)) [m]: particles outside are left out.
+    /// but "affine". Others that files of particles have cost reading all of them: "density", "strain", "def_grad", "stress", and "history_LAW_NAME" for what a law remembers. Numbers
+    /// are float64 in an f64 run, else float32. `region` is a box, ((x, y, z), (x, y, z)) [m]: particles outside are left out.
     #[pyo3(signature = (*fields, region=None, world=0))]
     fn particles<'py>(
         &self,
@@ -297,22 +300,7 @@ impl Simulation {
         world: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         let asked: Vec<String> = fields.extract()?;
-        if let Some(unknown) = asked.iter().find(|name| !FIELDS.contains(&name.as_str())) {
-            let known = FIELDS.join(", ");
-            return Err(PyValueError::new_err(format!("particles have no '{unknown}' to be read; known are: {known}")));
-        }
-        let has = |name: &str| if asked.is_empty() { name != "affine" } else { asked.iter().any(|one| one == name) };
-        let fields = Fields {
-            exact: true,
-            velocity: has("velocity"),
-            affine: has("affine"),
-            mass: has("mass"),
-            volume0: has("volume0"),
-            id: has("id"),
-            body: has("body"),
-            material: has("material"),
-            level: has("level"),
-        };
+        let names = if asked.is_empty() { USUAL.map(str::to_owned).to_vec() } else { asked };
         let region = region.map(|region| {
             let corners = region.as_array();
             match corners.shape() {
@@ -326,13 +314,31 @@ impl Simulation {
             }
         });
         let region = region.transpose()?;
-        if self.options(py)?.precision == Precision::F64 {
-            let is_wanted = |spot: &Spot| region.is_none_or(|region| region.contains(spot.position));
-            let ground = self.look(py, world, |one| one.ground_where(&is_wanted))?;
-            return records::exact_particles(py, &ground.lists, fields, None);
+        let is_read = |name: &String| READ.contains(&name.as_str());
+        if self.options(py)?.precision == Precision::F64 || !names.iter().all(is_read) {
+            let columns = |one: &World| {
+                let fields = columns(one, &names)?;
+                let is_wanted = |spot: &Spot| region.is_none_or(|region| region.contains(spot.position));
+                Ok(fields.of(one.plan(), &one.ground_where(&is_wanted)))
+            };
+            let found: Result<_, String> = self.look(py, world, columns)?;
+            let columns = found.map_err(PyValueError::new_err)?.or_raise(py)?;
+            return records::columns(py, columns, None);
         }
+        let has = |name: &str| names.iter().any(|one| one == name);
+        let fields = Fields {
+            exact: true,
+            velocity: has("velocity"),
+            affine: has("affine"),
+            mass: has("mass"),
+            volume0: has("volume0"),
+            id: has("id"),
+            body: has("body"),
+            material: has("material"),
+            level: has("level"),
+        };
         let reading = self.look(py, world, |one| one.read(region, fields))?.or_raise(py)?;
-        records::particles(py, reading, None)
+        records::particles(py, reading)
     }
 
     /// The particles cut by a vertical plane, those less than half their width away from it, with their `pressure` [Pa]: a `Particles` record.
@@ -359,16 +365,11 @@ impl Simulation {
                 let all: Vec<usize> = (0..list.len()).collect();
                 pressures.extend(pressure(&one.plan().materials[list.material as usize], list, &all)?);
             }
-            Ok((near.lists, pressures))
+            let fields = Columns::new(one.plan(), Some(&USUAL.map(str::to_owned)))?;
+            Ok((fields.of(one.plan(), &near)?, pressures))
         };
-        let (lists, pressures) = self.look(py, world, read)?.or_raise(py)?;
-        let pressure = Some(("pressure", records::vector(py, pressures)));
-        if self.options(py)?.precision == Precision::F64 {
-            return records::exact_particles(py, &lists, ALL, pressure);
-        }
-        let mut reading = Reading::new(ALL, [0.0; 3]);
-        lists.iter().for_each(|list| reading.add_list(list, None));
-        records::particles(py, reading, pressure)
+        let (columns, pressures) = self.look(py, world, read)?.or_raise(py)?;
+        records::columns(py, columns, Some(("pressure", records::vector(py, pressures))))
     }
 
     /// Heights of the surface of the soft ground at points, float64 of shape (n,) [m]; `points` has the shape (n, 2) [m].

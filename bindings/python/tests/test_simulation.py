@@ -66,6 +66,32 @@ def test_particles_of_an_f64_run_are_read_in_f64(press):
     assert 0 < len(lower) < len(particles) and lower.position[:, 2].max() <= 0.1
 
 
+@pytest.mark.parametrize("precision", ["f32", "f64"])
+def test_stress_and_strain_can_be_read(press, precision):
+    simulation = barchan.Simulation(press, precision=precision)
+    simulation.act("plate", linear=[0, 0, -0.5])
+    simulation.advance(0.05)
+    read = simulation.particles("stress", "density", "strain", "mass", "volume0", "id", "level")
+    number = np.dtype(precision.replace("f", "float"))
+    assert read.stress.shape == read.strain.shape == (len(read), 6) and read.density.shape == (len(read),)
+    assert read.stress.dtype == read.density.dtype == number and read.level.dtype == np.uint8
+    # Stretch by volume is det(b) ** 1/2.
+    xx, yy, zz, xy, xz, yz = read.strain.T.astype(float)
+    ratio = np.sqrt(xx * (yy * zz - yz**2) - xy * (xy * zz - yz * xz) + xz * (xy * yz - yy * xz))
+    np.testing.assert_allclose(read.density * read.volume0 * ratio, read.mass, rtol=1e-5)
+    cut = simulation.cut(0.2)
+    place = {number: i for i, number in enumerate(read.id)}
+    same = [place[number] for number in cut.id]
+    assert len(same) > 50 and cut.pressure.max() > 10.0
+    np.testing.assert_allclose(-read.stress[same, :3].sum(axis=1) / 3, cut.pressure, rtol=1e-4, atol=1e-3)
+    # The plate presses what is below it.
+    assert read.stress[:, 2].min() < 2.0 * read.stress[:, 0].min() < 0
+    with pytest.raises(AttributeError, match=r"particles\('velocity'\)"):
+        read.velocity
+    with pytest.raises(ValueError, match="no 'speed'.*affine.*stress"):
+        simulation.particles("stress", "speed")
+
+
 def test_a_seed_that_is_given_is_that_of_its_world(press):
     def seeds(**given):
         worlds = barchan.Simulation(press, worlds=2, **given)

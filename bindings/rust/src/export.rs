@@ -12,6 +12,8 @@
 //! let folder = std::env::temp_dir().join(format!("barchan-export-{}", std::process::id()));
 //! std::fs::create_dir_all(&folder).unwrap();
 //! let fields = Fields::new(simulation.plan(), Some(&["velocity".to_owned(), "stress".to_owned()]))?;
+//! let columns = fields.of(simulation.plan(), &simulation.ground())?;
+//! assert_eq!(columns[2].components, 6, "position, velocity, and the six parts of stress");
 //! particles(&simulation, &fields, folder.join("particles.npz"), Export::Npz)?;
 //! let surface = Surface::new(&simulation.spots(), 0.05)?;
 //! surface.write_ply(folder.join("surface.ply"), &simulation)?;
@@ -75,12 +77,28 @@ struct Field {
     quantity: Quantity,
 }
 
-/// Numbers of all particles, components side by side.
-enum Values {
+/// Numbers of particles, components side by side.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Values {
+    /// Positions, and all that is no whole number in runs of f64.
     F64(Vec<f64>),
+    /// What is no whole number in runs of f32.
     F32(Vec<f32>),
+    /// Numbers of particles.
     U64(Vec<u64>),
+    /// Numbers of materials, bodies and levels.
     U16(Vec<u16>),
+}
+
+/// A field of some particles.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Column {
+    /// What files call it.
+    pub name: String,
+    /// How many numbers a particle has.
+    pub components: usize,
+    /// All of them.
+    pub values: Values,
 }
 
 /// How a kind of number is called in NumPy, PLY and VTK, and its bytes.
@@ -138,6 +156,18 @@ impl Fields {
             field.quantity == Quantity::Position || patterns.iter().any(|pattern| fits(pattern, &field.name))
         });
         Ok(Self(fields))
+    }
+
+    /// What particles have of them, such as those of [`Simulation::ground`], in the order of the lists.
+    ///
+    /// # Errors
+    /// [`Error::Missing`] if stress is wanted of a law without an f64 update.
+    pub fn of(&self, plan: &Plan, particles: &ParticleState) -> Result<Vec<Column>> {
+        let column = |field: &Field| {
+            let components = field.components.len().max(1);
+            Ok(Column { name: field.name.clone(), components, values: field.values(plan, particles)? })
+        };
+        self.0.iter().map(column).collect()
     }
 
     /// Their names, in the order in which files hold them.

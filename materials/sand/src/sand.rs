@@ -82,7 +82,14 @@ impl Material for Sand {
         .differentiable(),
         param("cohesion", "Pa", 0.0, 0.0, 1e9, "Shear strength at zero pressure, c of Mohr and Coulomb.")
             .differentiable(),
-        param("cone", "1", 0.0, 0.0, 1.0, "0: cone matched in triaxial compression (Klar et al.); 1: in simple shear."),
+        param(
+            "cone",
+            "1",
+            0.0,
+            0.0,
+            1.0,
+            "0: cone matched in triaxial compression (Klar et al.); 1: in simple shear. Cut at 0.5.",
+        ),
         param(
             "volume_correction",
             "1",

@@ -34,7 +34,7 @@ __all__ = [
 class Particles:
     """Arrays of particles, all in one order, which is the simulation's own and changes as it goes on; ``id`` stays.
 
-    ``position`` is always there. In an f64 run all numbers are float64. A field that was not read is an ``AttributeError`` that says so. ``len(particles)`` is their number n.
+    ``position`` is always there. What a law remembers is named after both, such as ``history_sand_volume_gap``. In an f64 run all numbers are float64. A field that was not read is an ``AttributeError`` that says so. ``len(particles)`` is their number n.
     """
 
     position: NDArray[np.float64]
@@ -55,6 +55,14 @@ class Particles:
     """Number of the material, in the scene's order, (n,)."""
     level: NDArray[np.uint8]
     """Level of the grid that it is on, 0 is the finest, (n,)."""
+    density: NDArray[np.float32] | NDArray[np.float64]
+    """Density as strain has it [kg/m^3], (n,)."""
+    strain: NDArray[np.float32] | NDArray[np.float64]
+    """Elastic left Cauchy-Green strain b: xx, yy, zz, xy, xz, yz, (n, 6)."""
+    def_grad: NDArray[np.float32] | NDArray[np.float64]
+    """Elastic deformation gradient F, row by row, (n, 9); NaN where a law keeps b alone."""
+    stress: NDArray[np.float32] | NDArray[np.float64]
+    """Cauchy stress [Pa]: xx, yy, zz, xy, xz, yz, (n, 6)."""
     pressure: NDArray[np.float64]
     """Minus a third of the trace of the Cauchy stress [Pa], (n,); of a cut only."""
 
