@@ -5,18 +5,19 @@ use barchan_core::{Aabb, NodeBatch};
 
 /// Puts those nodes of a block into a batch that are in any of the boxes and heavier than `least` [kg]: what is lighter carries nothing.
 ///
-/// `first` is the first cell of the block, or of the [image](image_near) of it that is near a box, and `node` gives velocity [m/s] and mass [kg] of its nodes,
-/// which are asked for in order. Of each that is put, `taken` learns its number in the block, its cell and its number in the batch.
+/// `first` is the first cell of the block, `periods` are as for [`boxes_near_block`], and `node` gives velocity [m/s] and mass [kg] of its nodes, which are asked for in
+/// order. Of each that is put, `taken` learns its number in the block, its cell and its number in the batch.
 pub fn gather_block(
     batch: &mut NodeBatch,
     boxes: &[Aabb],
     first: [i32; 3],
+    periods: [i32; 3],
     least: f64,
     mut node: impl FnMut(usize) -> ([f64; 3], f64),
     mut taken: impl FnMut(usize, [i32; 3], u32),
 ) {
     let h = batch.cell_width;
-    let boxes = boxes_near_block(boxes, first, h, 0.0);
+    let boxes: Vec<Aabb> = boxes_near_block(boxes, first, h, 0.0, periods).collect();
     if boxes.is_empty() {
         return;
     }
@@ -75,16 +76,28 @@ impl<'a> Cubes<'a> {
     }
 }
 
-/// May any node of the block with that first node, of cells that wide [m], be in a box?
-pub fn is_near_block(boxes: &[Aabb], first: [i32; 3], h: f64) -> bool {
-    let nodes = nodes_of_block(first, h);
-    boxes.iter().any(|one| one.meets(&nodes))
+/// Does any box, or image of one along periodic axes, come within so much [m] of nodes of a block, see [`boxes_near_block`]?
+pub fn is_near_block(boxes: &[Aabb], first: [i32; 3], h: f64, within: f64, periods: [i32; 3]) -> bool {
+    // All blocks of a grid are asked about.
+    if periods == [0; 3] {
+        let near = nodes_of_block(first, h).grown(within);
+        return boxes.iter().any(|one| one.meets(&near));
+    }
+    boxes_near_block(boxes, first, h, within, periods).next().is_some()
 }
 
-/// The boxes that come within so much [m] of nodes of the block with that first node, of cells that wide [m].
-pub fn boxes_near_block(boxes: &[Aabb], first: [i32; 3], h: f64, within: f64) -> Vec<Aabb> {
+/// The boxes, or images of them along periodic axes, that come within so much [m] of nodes of the block with that first cell, of cells that wide [m]. `periods` are the
+/// world's cells along each axis, 0 for one that is not periodic.
+pub fn boxes_near_block(
+    boxes: &[Aabb],
+    first: [i32; 3],
+    h: f64,
+    within: f64,
+    periods: [i32; 3],
+) -> impl Iterator<Item = Aabb> {
     let near = nodes_of_block(first, h).grown(within);
-    boxes.iter().filter(|one| one.meets(&near)).copied().collect()
+    let images = boxes.iter().flat_map(move |one| images(one, first, h, periods));
+    images.filter(move |one| one.meets(&near))
 }
 
 /// From the first of a block's nodes to the last.
@@ -93,27 +106,23 @@ fn nodes_of_block(first: [i32; 3], h: f64) -> Aabb {
     Aabb { min: first.map(centre), max: first.map(|c| centre(c + SIDE - 1)) }
 }
 
-/// The first cell of that image of a block, of those along periodic axes, of which nodes may be in a box; `None` if none may. `first` is the block's own
-/// first cell, and `periods` are the world's cells along each axis, 0 for one that is not periodic.
-///
-/// For each box that is the image nearest to its middle. A block near several boxes by different images is the first one's: bodies that go together
-/// are taken to be less than a period apart.
-pub fn image_near(boxes: &[Aabb], first: [i32; 3], h: f64, periods: [i32; 3]) -> Option<[i32; 3]> {
-    if periods == [0; 3] {
-        return is_near_block(boxes, first, h).then_some(first);
-    }
-    let images = boxes.iter().map(|one| (one, shifted(one, first, h, periods)));
-    images.filter(|(one, image)| is_near_block(std::slice::from_ref(one), *image, h)).map(|(_, image)| image).next()
-}
-
-/// The image of a block that is nearest to the middle of a box.
-fn shifted(one: &Aabb, first: [i32; 3], h: f64, periods: [i32; 3]) -> [i32; 3] {
-    std::array::from_fn(|d| {
+/// The image of a box whose middle is nearest to a block, and those next to it, along periodic axes.
+fn images(one: &Aabb, first: [i32; 3], h: f64, periods: [i32; 3]) -> impl Iterator<Item = Aabb> + use<> {
+    let one = *one;
+    let along = std::array::from_fn::<_, 3, _>(|d| {
         let middle = (0.5 * (one.min[d] + one.max[d]) / h).floor();
         if periods[d] == 0 || !middle.is_finite() {
-            return first[d];
+            return (0..1, 0.0, 0.0);
         }
-        first[d] + nearest(first[d] + SIDE / 2, middle as i32, periods[d])
+        let period = f64::from(periods[d]) * h;
+        (-1..2, -f64::from(nearest(first[d] + SIDE / 2, middle as i32, periods[d])) * h, period)
+    });
+    let [x, y, z] = along.each_ref().map(|(turns, ..)| turns.clone());
+    let turns = x.flat_map(move |x| y.clone().map(move |y| [x, y]));
+    let turns = turns.flat_map(move |[x, y]| z.clone().map(move |z| [x, y, z]));
+    turns.map(move |turns| {
+        let by: [f64; 3] = std::array::from_fn(|d| along[d].1 + f64::from(turns[d]) * along[d].2);
+        one.moved(by)
     })
 }
 
@@ -135,22 +144,41 @@ mod tests {
         let mut taken = Vec::new();
         let mass = |n: usize| if n == 17 { 1e-30 } else { n as f64 };
         let node = |n: usize| ([n as f64, 0.0, 0.0], mass(n));
-        gather_block(&mut batch, &boxes, [-4, 0, 0], 1e-20, node, |n, cell, number| taken.push((n, cell, number)));
+        gather_block(&mut batch, &boxes, [-4, 0, 0], [0; 3], 1e-20, node, |n, cell, number| {
+            taken.push((n, cell, number))
+        });
         // At x = -1.75 and -1.25, y = 0.25, z = 0.25 and 0.75; node 0 has no mass, 17 hardly any.
         assert_eq!(taken, [(1, [-4, 0, 1], 0), (16, [-3, 0, 0], 1)]);
         assert_eq!(
             (batch.position[1], batch.mass[1], batch.velocity[1]),
             ([-1.25, 0.25, 0.25], 16.0, [16.0, 0.0, 0.0])
         );
-        // In a world of eight cells along x, which is periodic, the block is at -4, 4, 12 and so on.
+        // In a world of eight cells along x, 4 m, which is periodic, the block is at -4, 4, 12 and so on.
         let far = [Aabb { min: [6.2, 0.2, 0.2], max: [6.3, 0.3, 0.3] }];
-        assert_eq!(image_near(&far, [-4, 0, 0], 0.5, [8, 0, 0]), Some([12, 0, 0]));
-        assert_eq!(image_near(&far, [-4, 0, 0], 0.5, [0; 3]), None);
-        // What counts is where its middle is: a box in the middle of the world meets both of its blocks where they are.
+        let near = |boxes: &[Aabb], first: i32, period: i32| -> Vec<f64> {
+            let periods = [period, 0, 0];
+            let found: Vec<f64> =
+                boxes_near_block(boxes, [first, 0, 0], 0.5, 0.0, periods).map(|one| one.min[0]).collect();
+            assert_eq!(is_near_block(boxes, [first, 0, 0], 0.5, 0.0, periods), !found.is_empty());
+            found
+        };
+        assert!(near(&far, -4, 8).iter().eq(&[6.2 - 8.0]) && near(&far, -4, 0).is_empty());
+        // A box in the middle of the world meets both of its blocks where they are, and one as wide as the world meets each from both sides.
         let wide = [Aabb { min: [-1.0, 0.2, 0.2], max: [1.0, 0.3, 0.3] }];
-        assert_eq!([-4, 0].map(|x| image_near(&wide, [x, 0, 0], 0.5, [8, 0, 0])), [-4, 0].map(|x| Some([x, 0, 0])));
-        assert_eq!(image_near(&boxes, [-4, 0, 0], 0.5, [8, 0, 0]), Some([-4, 0, 0]));
-        gather_block(&mut batch, &boxes[1..], [-4, 0, 0], 1e-20, |_| unreachable!("no box meets it"), |_, _, _| {});
+        assert_eq!([-4, 0].map(|x| near(&wide, x, 8)), [[-1.0], [-1.0]]);
+        let whole = [Aabb { min: [-0.5, 0.2, 0.2], max: [3.5, 0.3, 0.3] }];
+        assert_eq!([-4, 0].map(|x| near(&whole, x, 8)), [vec![-4.5, -0.5], vec![-0.5]]);
+        // Each of two boxes meets it by an image of its own.
+        assert_eq!(near(&[wide[0], far[0]], -4, 8), [-1.0, 6.2 - 8.0]);
+        gather_block(
+            &mut batch,
+            &boxes[1..],
+            [-4, 0, 0],
+            [0; 3],
+            1e-20,
+            |_| unreachable!("no box meets it"),
+            |_, _, _| {},
+        );
         assert_eq!(batch.len(), 2);
     }
 

@@ -38,8 +38,10 @@ pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatc
         shape.contact_surface_within(to_body * (DVec3::from_array(x) - pose.position), cell, within)
     };
     let (rounding, of_cell) = (1e-6 * cell, cell.powi(3));
+    let middle = std::array::from_fn(|d| 0.5 * (bounds.min[d] + bounds.max[d]));
+    let beside = |x: Vec3| nodes.image_near(x, middle);
     let press_of = |particle: &NearParticle| {
-        let at = particle.position;
+        let at = beside(particle.position);
         // Few are wider than a cell.
         let touching = if particle.volume <= of_cell { TOUCHING * cell + rounding } else { f64::INFINITY };
         let (Surface { distance, normal }, _) = around.contains(at).then(|| surface_within(at, touching))??;
@@ -62,6 +64,7 @@ pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatc
         }
     }
     let inside_of = |&x: &Vec3| {
+        let x = beside(x);
         let surface = bounds.contains(x).then(|| surface_within(x, rounding))?;
         surface.filter(|(surface, _)| surface.distance < 0.0)
     };
@@ -86,7 +89,7 @@ pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatc
             (Some(friction), None, Some(normal)) => Grip::Coulomb { normal, friction, most },
             (Some(_), None, None) => continue,
         };
-        let position = nodes.position[node];
+        let position = beside(nodes.position[node]);
         let distance = || surface_within(position, f64::INFINITY).map_or(f64::INFINITY, |(there, _)| there.distance);
         let distance = inside.map_or_else(distance, |(surface, _)| surface.distance);
         touches.push(Touch { node, arm: DVec3::from_array(position) - pose.position, distance, grip, is_deep });

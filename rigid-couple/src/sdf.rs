@@ -110,7 +110,10 @@ pub(crate) fn four(samples: &[f64]) -> [f32; 4] {
 /// it. A plate pressed into elastic ground by half a cell, in a prototype, grew from 8 to 10 cells in tenths; its force grew by up to 1.7
 /// times the mean step with this radius and with one cell, and sand through a slot by 1.7 times and twice. The plate of 9 cells bore 83 % of
 /// what it bears on fine grids, 91 % with cells half as wide.
-const ROUND: f64 = 1.5;
+pub(crate) const ROUND: f64 = 1.5;
+
+/// Least width of a face in cells from which on rounding its edges takes less than a quarter of the force on it, see [`Sdf::rounded_face`].
+const FACE: f64 = 12.0;
 
 /// Reach of a thin part's core on both sides of its middle, in cells.
 const CORE: f64 = 0.75;
@@ -408,6 +411,20 @@ impl Sdf {
     /// Half the thickness of the thinnest part [m].
     pub fn half_thickness(&self) -> f64 {
         self.parts.iter().fold(f64::INFINITY, |t, part| t.min(part.half_thickness))
+    }
+
+    /// Width of its narrowest face with sharp edges in cells [m], if rounding these takes more than a quarter of the force on it.
+    pub(crate) fn rounded_face(&self, cell: f64) -> Option<f64> {
+        let face = |part: &Part| match part.primitive {
+            Primitive::Box { half } => {
+                let mut half = half.to_array();
+                half.sort_by(f64::total_cmp);
+                Some(2.0 * half[1])
+            }
+            Primitive::Cylinder { radius, .. } => Some(2.0 * radius),
+            _ => None,
+        };
+        self.parts.iter().filter_map(face).reduce(f64::min).map(|width| width / cell).filter(|width| *width < FACE)
     }
 
     /// The same shape in a frame whose origin is at `origin`.

@@ -50,6 +50,16 @@ pub enum Command {
     JointTargets(Vec<f64>),
     /// Act on its joints, in the order in which the body lists them: torques on revolute joints [N m], forces on prismatic ones [N].
     JointTorques(Vec<f64>),
+    /// Motors act on its joints with kp (target − position) + kd (rate − the joint's) + torque, in the order in which the body lists them. What is left out is 0; targets may be only
+    /// where no motor has kp.
+    JointMotion {
+        /// Angles [rad] or displacements [m].
+        targets: Option<Vec<f64>>,
+        /// Their rates [rad/s or m/s].
+        rates: Option<Vec<f64>>,
+        /// Torques [N m] or forces [N] besides.
+        torques: Option<Vec<f64>>,
+    },
     /// Take a blow, once: what it is told besides goes on.
     Impulse {
         /// Through its centre of mass, which is the base's for a robot; world frame [N s].
@@ -79,12 +89,13 @@ pub struct Placement {
 }
 
 impl Command {
-    /// What it gives, for messages: "a twist", "joint targets", "joint torques", "an impulse" or "another place".
+    /// What it gives, for messages: "a twist", "joint targets", "joint torques", "a motion of joints", "an impulse" or "another place".
     pub fn name(&self) -> &'static str {
         match self {
             Self::Twist { .. } => "a twist",
             Self::JointTargets(_) => "joint targets",
             Self::JointTorques(_) => "joint torques",
+            Self::JointMotion { .. } => "a motion of joints",
             Self::Impulse { .. } => "an impulse",
             Self::Place(_) => "another place",
         }
@@ -98,6 +109,9 @@ impl Command {
                 greatest(&[*linear, *angular].concat())
             }
             Self::JointTargets(numbers) | Self::JointTorques(numbers) => greatest(numbers),
+            Self::JointMotion { targets, rates, torques } => {
+                greatest(&[targets, rates, torques].into_iter().flatten().flatten().copied().collect::<Vec<f64>>())
+            }
             Self::Place(Placement { position, rotation, velocity, angular_velocity, joints, joint_rates }) => {
                 let axes = [position, velocity, angular_velocity].into_iter().flatten().flatten();
                 let all =
@@ -262,7 +276,9 @@ impl NearParticle {
 pub struct NodeBatch {
     /// Cell width [m]; contact thickness is measured against it.
     pub cell_width: f64,
-    /// World positions [m].
+    /// How far apart images are along each axis [m]; 0 along those whose ends do not meet.
+    pub periods: Vec3,
+    /// World positions [m]. Where ends meet, a body touches the image of a node that is [nearest](Self::image_near) to it.
     pub position: Vec<Vec3>,
     /// Node masses [kg].
     pub mass: Vec<f64>,
@@ -289,6 +305,10 @@ impl NodeBatch {
     pub fn is_empty(&self) -> bool {
         self.mass.is_empty()
     }
+    /// The image of a point that is nearest to another one [m].
+    pub fn image_near(&self, point: Vec3, to: Vec3) -> Vec3 {
+        std::array::from_fn(|d| nearest(point[d], to[d], self.periods[d]))
+    }
     /// Forgets all nodes, keeping the memory.
     pub fn clear(&mut self) {
         self.position.clear();
@@ -297,6 +317,12 @@ impl NodeBatch {
         self.particles.clear();
         self.cubes.clear();
     }
+}
+
+/// The image of a coordinate that is nearest to another one [m], where images are so far apart; 0 where there are none.
+pub(crate) fn nearest(x: f64, to: f64, period: f64) -> f64 {
+    let turns = ((to - x) / period).round();
+    if period > 0.0 && turns.is_finite() { x + period * turns } else { x }
 }
 
 /// How a coupling acts on nodes, as a device can do it.

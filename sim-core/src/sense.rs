@@ -207,7 +207,7 @@ impl Simulation {
 
     /// Height of the surface of the soft ground above or below each point [m]: where, seen from above, particles first fill half of space, taken over a particle's
     /// width to all sides. Single grains in the air are not the ground. Where there is none, that of the world's floor; none if it is open.
-    /// Ground out of `levels.reach` that nothing has changed is where the scene's shapes have it. Tools and robots are not seen. Along periodic axes the ground goes on beyond the sides.
+    /// Ground out of `levels.reach` that nothing has changed is where the scene's shapes have it. Tools that stay where they are count as ground; others and robots are not seen. Along periodic axes the ground goes on beyond the sides.
     ///
     /// # Errors
     /// [`Error::Device`] if the particles were lost with their device.
@@ -247,13 +247,37 @@ impl Simulation {
         points.iter().zip(untouched.chunks(corners)).map(height).collect()
     }
 
-    /// Heights of what particles are at points [m], completed: by ground out of reach, and by the world's floor where there is no ground.
+    /// Heights of what particles are at points [m], completed: by ground out of reach, by the world's floor where there is no ground, and by tools that stay where they are.
     pub(crate) fn completed(&self, points: &[[f64; 2]], heights: Vec<Option<f64>>) -> Vec<Option<f64>> {
         let world = &self.plan().scene.world;
         let floor = (world.walls.z_min != Wall::Open).then_some(world.min[2]);
         // Beside the edge, particles on one side alone fill half of space at most. Ground there is held at rest.
         let untouched = self.untouched_heights(points, 0.5 * self.widest());
-        heights.into_iter().zip(untouched).map(|(height, untouched)| untouched.or(height).or(floor)).collect()
+        let soft = heights.into_iter().zip(untouched).map(|(height, untouched)| untouched.or(height).or(floor));
+        soft.zip(self.hard_heights(points)).map(|(soft, hard)| soft.into_iter().chain(hard).reduce(f64::max)).collect()
+    }
+
+    /// How high tools that stay where they are stand at points inside the world [m], by their surfaces as contact has them; none beside them.
+    fn hard_heights(&self, points: &[[f64; 2]]) -> Vec<Option<f64>> {
+        let world = &self.plan().scene.world;
+        let mut tops = vec![None; points.len()];
+        for coupling in self.couplings() {
+            let staying = coupling.bounds().into_iter().enumerate().filter(|(body, _)| coupling.stays(*body));
+            for (body, bounds) in staying {
+                for by in world.images(&bounds) {
+                    let there = |[x, y]: [f64; 2]| [x + by[0], y + by[1]];
+                    let is_over = |[x, y]: [f64; 2]| {
+                        (bounds.min[0]..=bounds.max[0]).contains(&x) && (bounds.min[1]..=bounds.max[1]).contains(&y)
+                    };
+                    let over: Vec<usize> = (0..points.len()).filter(|i| is_over(there(points[*i]))).collect();
+                    let places: Vec<[f64; 2]> = over.iter().map(|i| there(points[*i])).collect();
+                    for (i, top) in over.into_iter().zip(fallen_on(&**coupling, body, &bounds, &places, world.cell)) {
+                        tops[i] = tops[i].into_iter().chain(top).reduce(f64::max);
+                    }
+                }
+            }
+        }
+        tops
     }
 
     /// The particles that touch a body with such bounds.
@@ -349,6 +373,21 @@ impl Columns {
             })
             .map(|(z, _)| *z)
     }
+}
+
+/// How high a body's surface is at points within its box [m], found by falling on it from above by no more than it is away; none where it is missed.
+fn fallen_on(coupling: &dyn Coupling, body: usize, bounds: &Aabb, points: &[[f64; 2]], cell: f64) -> Vec<Option<f64>> {
+    const STEPS: usize = 64;
+    let (near, least) = (1e-3 * cell, 1e-2 * cell);
+    let mut at: Vec<Vec3> = points.iter().map(|&[x, y]| [x, y, bounds.max[2]]).collect();
+    for _ in 0..STEPS {
+        let gaps = coupling.contact_distance(body, &at);
+        let falling = at.iter_mut().zip(gaps).filter(|(at, gap)| *gap > near && at[2] >= bounds.min[2]);
+        if falling.map(|(at, gap)| at[2] -= gap.max(least)).count() == 0 {
+            break;
+        }
+    }
+    at.iter().map(|at| (at[2] >= bounds.min[2]).then_some(at[2])).collect()
 }
 
 #[cfg(test)]

@@ -4,7 +4,7 @@ use barchan_core::parameter::{Parameter, Range};
 use barchan_core::registry::{TaskMaker, TaskSetup};
 use barchan_core::scene::{OverBound, Time};
 use barchan_core::task::{Limits, draw};
-use barchan_core::{Registry, Result, Scene, Task};
+use barchan_core::{Error, Registry, Result, Scene, Task};
 use std::sync::Arc;
 
 /// How large a task is.
@@ -58,13 +58,31 @@ pub(crate) struct Base {
     ranges: Vec<Limits>,
 }
 
+/// Is a parameter for the task's own scene given with that, and not with another one, where something of it has no effect?
+///
+/// # Errors
+/// If a scene was given.
+pub(crate) fn check_own(setup: &TaskSetup<'_>, parameter: &str, what: &str) -> Result<()> {
+    if setup.scene.is_none() {
+        return Ok(());
+    }
+    Err(Error::Body {
+        path: format!("task.parameters.{parameter}"),
+        what: format!("in a scene of one's own {what}"),
+        mend: "leave it out, and let the scene say it; or play the task in its own scene".to_owned(),
+    })
+}
+
 impl Base {
     /// The given scene, which stays as it is, or else the task's own: a file with changes, in which a seed draws from these ranges.
     ///
     /// # Errors
-    /// If the changes do not fit the file.
+    /// If the changes do not fit the file, or a seed is to draw in a scene that was given.
     pub(crate) fn new(setup: &TaskSetup<'_>, file: &str, changes: &[&str], ranges: Vec<Limits>) -> Result<Self> {
-        let name = setup.name.to_owned();
+        let (name, randomise) = (setup.name.to_owned(), setup.parameters.number("randomise"));
+        if randomise > 0.0 {
+            check_own(setup, "randomise", "a seed draws nothing")?;
+        }
         let own = || {
             let scene = Scene::from_str_with(file, &format!("task '{name}'"), "", changes)?;
             // Whatever an agent that learns may try, a limb too fast for the step is followed in shorter ones: it ends no episode.
@@ -73,7 +91,7 @@ impl Base {
         };
         Ok(Self {
             scene: setup.scene.map_or_else(own, |scene| Ok(scene.clone()))?,
-            randomise: setup.parameters.number("randomise"),
+            randomise,
             ranges: if setup.scene.is_none() { ranges } else { Vec::new() },
             name,
         })

@@ -3,10 +3,11 @@
 //! # Source
 //! UBSoft (CoRL 2024), "Locomotion Task Results on More Materials", names the three; it gives constants of sand only.
 
-use crate::base::Size;
-use barchan_core::Scene;
+use crate::base::{Size, check_own};
 use barchan_core::parameter::{Parameter, Parameters};
+use barchan_core::registry::TaskSetup;
 use barchan_core::task::Limits;
+use barchan_core::{Result, Scene};
 
 /// The material of the scenes that it is.
 const MATERIAL: &str = "ground";
@@ -35,8 +36,15 @@ pub(crate) fn is_sand(parameters: &Parameters) -> bool {
 /// Sand of the small size is five times as soft, which allows steps twice as long. Snow is that of Stomakhin et al. 2013; in the small size packed snow grows no
 /// stiffer than four times, since steps would be too short. The elastic ground is as soft as
 /// the softest on which the humanoid's ankles hold it (its m g h is 232 N m/rad).
-pub(crate) fn changes(parameters: &Parameters, size: Size) -> [String; 3] {
-    let (law, density, numbers) = match parameters.text("ground") {
+///
+/// # Errors
+/// If other ground than sand is asked for in a scene that was given.
+pub(crate) fn changes(setup: &TaskSetup<'_>, size: Size) -> Result<[String; 3]> {
+    let ground = setup.parameters.text("ground");
+    if ground != CHOICES[0] {
+        check_own(setup, "ground", "the ground is what its materials say")?;
+    }
+    let (law, density, numbers) = match ground {
         "snow" => {
             let hardest = size.of(55.0, 4.0);
             let numbers = format!("young_modulus = 1.4e5, poisson_ratio = 0.2, hardening_max = {hardest:.1}");
@@ -49,11 +57,11 @@ pub(crate) fn changes(parameters: &Parameters, size: Size) -> [String; 3] {
             ("sand", 1600.0, numbers)
         }
     };
-    [
+    Ok([
         format!("material.{MATERIAL}.law={law}"),
         format!("material.{MATERIAL}.density={density}"),
         format!("material.{MATERIAL}.parameters={{ {numbers} }}"),
-    ]
+    ])
 }
 
 /// Between what a seed changes its stiffness.

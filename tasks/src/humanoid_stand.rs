@@ -73,7 +73,7 @@ pub(crate) struct Humanoid {
 
 impl Humanoid {
     pub(crate) fn new(setup: &TaskSetup<'_>, size: Size) -> Result<Self> {
-        let ground = ground::changes(setup.parameters, size);
+        let ground = ground::changes(setup, size)?;
         let lite = if ground::is_elastic(setup.parameters) { [LITE, LITE_ELASTIC] } else { [LITE, &[]] };
         let own = size.of(Vec::new(), lite.concat());
         let changes: Vec<&str> = own.into_iter().chain(ground.iter().map(String::as_str)).collect();

@@ -98,7 +98,7 @@ pub(crate) struct QuadrupedWalk {
 
 impl QuadrupedWalk {
     pub(crate) fn new(setup: &TaskSetup<'_>, size: Size, rules: &'static Rules) -> Result<Self> {
-        let ground = ground::changes(setup.parameters, size);
+        let ground = ground::changes(setup, size)?;
         let own = if ground::is_sand(setup.parameters) { [rules.lite, rules.on_sand] } else { [rules.lite, &[]] };
         let own = size.of(Vec::new(), own.concat());
         let changes: Vec<&str> = own.into_iter().chain(ground.iter().map(String::as_str)).collect();

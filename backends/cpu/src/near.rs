@@ -5,7 +5,7 @@ use crate::level::Level;
 use barchan_core::{Aabb, NearParticle, NodeBatch, Vec3};
 use barchan_grid::block::{self, CELLS, NONE, SIDE};
 use barchan_grid::limits::{FULL_SPEED, greater};
-use barchan_grid::near::{Cubes, boxes_near_block, gather_block, image_near};
+use barchan_grid::near::{Cubes, boxes_near_block, gather_block, is_near_block};
 use barchan_grid::transfer::Scalar;
 use barchan_lanes::CHUNK;
 use rayon::prelude::*;
@@ -18,7 +18,7 @@ pub(crate) struct Near {
 }
 
 impl<T: Scalar> Level<T> {
-    /// Collects the nodes inside any of the boxes, in the grid's order, along periodic axes their images there. If levels take steps of their own (`subcycled`), a node that the
+    /// Collects the nodes inside any of the boxes or their images, in the grid's order. If levels take steps of their own (`subcycled`), a node that the
     /// finer level shares weighs what this level's own particles weigh there: the finer ones have moved, and take nothing of what
     /// bodies give to it.
     pub(crate) fn gather(&mut self, boxes: &[Aabb], least: f64, subcycled: bool, batch: &mut NodeBatch) {
@@ -30,9 +30,11 @@ impl<T: Scalar> Level<T> {
         batch.cell_width = self.store.cell_width;
         // Most blocks are far from all boxes: they are left out side by side.
         let (h, periods) = (batch.cell_width, self.bounds.periods());
-        let image = |key: u64| image_near(boxes, block::of_key(key).map(|b| b * SIDE), h, periods);
-        let keys = self.grid.keys.par_iter().with_min_len(1 << 10);
-        let near: Vec<_> = keys.enumerate().filter_map(|(g, key)| Some((g, image(*key)?))).collect();
+        batch.periods = periods.map(|cells| f64::from(cells) * h);
+        let first_of = |key: u64| block::of_key(key).map(|b| b * SIDE);
+        let keys = self.grid.keys.par_iter().with_min_len(1 << 10).map(|key| first_of(*key));
+        let is_near = |(_, first): &(usize, [i32; 3])| is_near_block(boxes, *first, h, 0.0, periods);
+        let near: Vec<_> = keys.enumerate().filter(is_near).collect();
         for (g, first) in near {
             let nodes = &self.grid.nodes[g];
             let mut numbers = [NodeBatch::NONE; CELLS];
@@ -44,7 +46,7 @@ impl<T: Scalar> Level<T> {
                 let own = shared.next_if(|shared| shared.node as usize % CELLS == n).map(|shared| shared.own[3]);
                 ([u, v, w].map(T::to_f64), own.unwrap_or(mass).to_f64())
             };
-            gather_block(batch, boxes, first, least, node, |n, _, number| {
+            gather_block(batch, boxes, first, periods, least, node, |n, _, number| {
                 numbers[n] = number;
                 self.batch_nodes.push((g * CELLS + n) as u32);
             });
@@ -61,17 +63,15 @@ impl<T: Scalar> Level<T> {
         // Particles may have left their block by a cell since they were sorted, and nodes are at the middle of cells.
         let (h, periods) = (self.h(), self.bounds.periods());
         let wider: Vec<Aabb> = boxes.iter().map(|one| one.grown(1.5 * h)).collect();
-        let image = |b: usize| {
-            let first = block::of_key(self.grid.occupied[b]).map(|c| c * SIDE);
-            Some((b, first, image_near(&wider, first, h, periods)?))
-        };
-        let blocks: Vec<_> = (0..self.grid.occupied.len()).filter_map(image).collect();
+        let first = |b: usize| block::of_key(self.grid.occupied[b]).map(|c| c * SIDE);
+        let is_near = |b: &usize| is_near_block(&wider, first(*b), h, 0.0, periods);
+        let blocks: Vec<usize> = (0..self.grid.occupied.len()).filter(is_near).collect();
         // What each finds lies in memory of its own, kept from step to step: threads that ask for memory at once wait for one another.
         let mut found = std::mem::take(&mut self.near);
         found.resize_with(found.len().max(blocks.len()), Near::default);
-        let of_block = |(&(b, first, there), found): (&(usize, [i32; 3], [i32; 3]), &mut Near)| {
-            let by = std::array::from_fn(|d| f64::from(there[d] - first[d]) * h);
-            self.near_particles(b, by, &boxes_near_block(boxes, there, h, 1.5 * h), moduli, found);
+        let of_block = |(&b, found): (&usize, &mut Near)| {
+            let boxes: Vec<Aabb> = boxes_near_block(boxes, first(b), h, 1.5 * h, periods).collect();
+            self.near_particles(b, &boxes, moduli, found);
         };
         blocks.par_iter().zip(&mut found).for_each(of_block);
         for Near { cubes, particles } in &found[..blocks.len()] {
@@ -82,14 +82,14 @@ impl<T: Scalar> Level<T> {
         self.near = found;
     }
 
-    /// Finds a block's particles inside any of the boxes, where it is by so much [m] off itself, and the cubes of nodes around them.
-    fn near_particles(&self, b: usize, by: [f64; 3], boxes: &[Aabb], moduli: &[f64], found: &mut Near) {
+    /// Finds a block's particles inside any of the boxes, and the cubes of nodes around them.
+    fn near_particles(&self, b: usize, boxes: &[Aabb], moduli: &[f64], found: &mut Near) {
         let h = self.h();
         let first = block::of_key(self.grid.occupied[b]).map(|c| c * SIDE);
         let in_batch = |g: u32| self.batch_block_of.get(g as usize).filter(|&&i| i != NONE);
         let numbers = |g| in_batch(g).map_or(&Cubes::ABSENT, |&i| &self.batch_blocks[i as usize]);
         let mut around = Cubes::of(self.grid.nodes_around[b].map(numbers));
-        let cells = |x: Vec3| std::array::from_fn(|d| ((x[d] - by[d]) / h).floor() as i32);
+        let cells = |x: Vec3| std::array::from_fn(|d| (x[d] / h).floor() as i32);
         let ranges: Vec<[[i32; 3]; 2]> = boxes.iter().map(|one| [one.min, one.max].map(cells)).collect();
         let Near { cubes, particles } = found;
         cubes.clear();
@@ -102,8 +102,7 @@ impl<T: Scalar> Level<T> {
             };
             for (k, lane) in (0..run.chunks()).flat_map(|k| lanes_of(k).map(move |lane| (k, lane))) {
                 let chunk = run.first + k;
-                let own = list.position_of(chunk, lane, h);
-                let position = std::array::from_fn(|d| own[d] + by[d]);
+                let position = list.position_of(chunk, lane, h);
                 if !boxes.iter().any(|one| one.contains(position)) {
                     continue;
                 }

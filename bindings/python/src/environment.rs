@@ -1,6 +1,6 @@
 //! The class `Environment`: worlds of a task.
 
-use crate::errors::{OrRaise, raised};
+use crate::errors::{OrRaise, raised, warn};
 use crate::given::{
     Numbers, blows, check_count, check_world, first_or_each, named, placements, precision, seeds, tell,
 };
@@ -186,6 +186,10 @@ impl Environment {
         let (registry, parameters) = (known(py)?, table(parameters)?);
         let made = barchan::environment::task(&registry, task, &parameters).or_raise(py)?;
         let environment = py.detach(|| Worlds::new(&registry, made, &seeds, &options)).or_raise(py)?;
+        // Those of the tasks that come with Barchan are known.
+        if task.ends_with(".toml") {
+            warn(py, environment.worlds().iter().flat_map(|world| &world.plan().warnings))?;
+        }
         let played_on = format!("{} {}", options.backend, options.precision);
         let recording = |seed: &u64| Recording {
             task: task.to_owned(),
@@ -283,7 +287,7 @@ impl Environment {
     #[pyo3(signature = (
         body, *, position=None, rotation=None, velocity=None, angular_velocity=None, joints=None, joint_rates=None, worlds=None
     ))]
-    #[allow(clippy::too_many_arguments, reason = "each is a keyword of Python's")]
+    #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn place<'py>(
         &self,
         py: Python<'py>,

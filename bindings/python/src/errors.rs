@@ -4,6 +4,8 @@ use crate::scene::DICT;
 use barchan::Error;
 use pyo3::exceptions::PyException;
 use pyo3::prelude::*;
+use std::collections::BTreeSet;
+use std::ffi::CString;
 
 /// An exception of a class of `barchan.errors`.
 pub(crate) fn exception(py: Python<'_>, class: &str, message: &str) -> PyErr {
@@ -29,6 +31,18 @@ fn class(error: &Error) -> &'static str {
         Error::Capacity { .. } => "CapacityError",
         _ => "BarchanError",
     }
+}
+
+/// Warns of what plans say, once of each.
+pub(crate) fn warn<'a>(py: Python<'_>, warnings: impl IntoIterator<Item = &'a String>) -> PyResult<()> {
+    let mut said = BTreeSet::new();
+    let category = py.import("barchan.errors")?.getattr("BarchanWarning")?;
+    for warning in warnings.into_iter().filter(|warning| said.insert(*warning)) {
+        let text =
+            CString::new(warning.as_str()).map_err(|_| exception(py, "BarchanError", "a warning holds a zero"))?;
+        PyErr::warn(py, &category, &text, 1)?;
+    }
+    Ok(())
 }
 
 /// Where an unknown name stands, in a user's words of Python: of a dict lines are nobody's, and options are keywords.

@@ -53,6 +53,11 @@ pub(crate) enum Machine {
 pub(crate) type Failure = (Error, Option<usize>);
 
 impl Machine {
+    /// What the plans of its worlds warn of.
+    pub(crate) fn warnings(&mut self) -> Vec<String> {
+        (0..self.len()).flat_map(|world| self.world(world).plan().warnings.clone()).collect()
+    }
+
     /// A world for each scene.
     pub(crate) fn new(registry: &Registry, scenes: Vec<Scene>, options: &Options) -> barchan::Result<Self> {
         Ok(match &scenes[..] {

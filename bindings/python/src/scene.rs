@@ -26,8 +26,7 @@ fn read(scene: &Bound<'_, PyAny>, overrides: Option<&Bound<'_, PyDict>>) -> PyRe
     }
     if let Ok(name) = scene.extract::<String>() {
         let path = Path::new(&name);
-        let is_built_in = barchan::tasks::names().any(|known| known == name);
-        if is_built_in || (path.extension().is_none() && !path.exists()) {
+        if is_built_in(scene) || (path.extension().is_none() && !path.exists()) {
             return barchan::tasks::scene(&name, &set).or_raise(py);
         }
     }
@@ -38,6 +37,11 @@ fn read(scene: &Bound<'_, PyAny>, overrides: Option<&Bound<'_, PyDict>>) -> PyRe
         )));
     };
     Scene::from_file_with(path, &set).or_raise(py)
+}
+
+/// Is it the name of a scene that comes with Barchan?
+pub(crate) fn is_built_in(scene: &Bound<'_, PyAny>) -> bool {
+    scene.extract::<String>().is_ok_and(|name| barchan::tasks::names().any(|known| known == name))
 }
 
 /// Reads a scene for each of so many worlds, as [`each`] has their overrides.

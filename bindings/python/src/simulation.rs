@@ -1,6 +1,6 @@
 //! The class `Simulation`.
 
-use crate::errors::{OrRaise, exception, raised};
+use crate::errors::{OrRaise, exception, raised, warn};
 use crate::given::{
     Numbers, axes, blows, check_count, check_world, first_or_each, named, per_world, placements, precision, seeds,
     tell, whole_seed,
@@ -139,6 +139,7 @@ impl Simulation {
         overrides: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
         check_count(py, worlds)?;
+        let is_known = scene::is_built_in(scene);
         let mut scenes = scene::read_each(scene, overrides, worlds)?;
         let given = seed.map(|seed| first_or_each(seed, worlds)).transpose()?;
         let own = scene::own_seeds(overrides, worlds)?;
@@ -162,7 +163,8 @@ impl Simulation {
         };
         let registry = known(py)?;
         let scene = scenes[0].clone();
-        let machine = py.detach(|| Machine::new(&registry, scenes, &options)).or_raise(py)?;
+        let mut machine = py.detach(|| Machine::new(&registry, scenes, &options)).or_raise(py)?;
+        warn(py, machine.warnings().iter().filter(|_| !is_known))?;
         Ok(Self { machine: Shared::new(machine), scene, options: Mutex::new(options) })
     }
 
@@ -375,7 +377,7 @@ impl Simulation {
     /// Heights of the surface of the soft ground at points, float64 of shape (n,) [m]; `points` has the shape (n, 2) [m].
     ///
     /// The surface is where, seen from above, particles first fill half of space. Where there is no ground, it is the world's floor; NaN if that is open. Tools
-    /// and robots are not seen.
+    /// that stay where they are count as ground; others and robots are not seen.
     #[pyo3(signature = (points, *, world=0))]
     fn height_scan<'py>(&self, py: Python<'py>, points: Numbers<'py>, world: usize) -> PyResult<Bound<'py, PyAny>> {
         let points = points.as_array();
@@ -582,10 +584,13 @@ impl Simulation {
     /// Tells a body what to do from now on: a driven tool to move at `linear` [m/s] and turn at `angular` [rad/s], both (3,) in world axes and 0 if not
     /// given; a robot to bring its joints to `joint_targets` [rad or m], or to act on them with `joint_torques` [N m or N], both (joints,).
     ///
+    /// With `joint_rates` [rad/s or m/s], (joints,), or with both targets and torques, motors give kp (target - position) + kd (rate - the joint's) + torque: wheels turn by rates alone
+    /// if their motors have kd and no kp. With torques alone kp and kd do not act.
+    ///
     /// Every world is told the same, those in `worlds` only (a number or a list), or each its own if arrays have a row for each of them.
     ///
     /// Raises `BodyError` if there is no such body, it takes no such command, or numbers are not finite.
-    #[pyo3(signature = (body, *, linear=None, angular=None, joint_targets=None, joint_torques=None, worlds=None))]
+    #[pyo3(signature = (body, *, linear=None, angular=None, joint_targets=None, joint_rates=None, joint_torques=None, worlds=None))]
     #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn act(
         &self,
@@ -594,27 +599,31 @@ impl Simulation {
         linear: Option<Numbers<'_>>,
         angular: Option<Numbers<'_>>,
         joint_targets: Option<Numbers<'_>>,
+        joint_rates: Option<Numbers<'_>>,
         joint_torques: Option<Numbers<'_>>,
         worlds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let mut machine = self.machine(py)?;
         let worlds = Self::chosen(worlds, machine.len())?;
-        let kinds = [linear.is_some() || angular.is_some(), joint_targets.is_some(), joint_torques.is_some()];
-        if kinds.iter().filter(|kind| **kind).count() != 1 {
-            let what = "give one command: linear and angular, joint_targets, or joint_torques";
+        let moves_joints = joint_targets.is_some() || joint_rates.is_some() || joint_torques.is_some();
+        if moves_joints == (linear.is_some() || angular.is_some()) {
+            let what = "give one command: linear and angular, or joint_targets, joint_rates and joint_torques";
             return Err(PyTypeError::new_err(what));
         }
         let rows = |values: &Option<_>, what| per_world(values.as_ref(), what, worlds.len());
         let all = rows(&linear, "linear")?.into_iter().zip(rows(&angular, "angular")?);
-        let all = all.zip(rows(&joint_targets, "joint_targets")?).zip(rows(&joint_torques, "joint_torques")?);
-        let command = |(((linear, angular), targets), torques)| {
-            Ok(match (targets, torques) {
-                (Some(targets), _) => Command::JointTargets(targets),
-                (_, Some(torques)) => Command::JointTorques(torques),
-                _ => Command::Twist { linear: axes(linear, "linear")?, angular: axes(angular, "angular")? },
+        let joints = rows(&joint_targets, "joint_targets")?.into_iter().zip(rows(&joint_rates, "joint_rates")?);
+        let joints = joints.zip(rows(&joint_torques, "joint_torques")?);
+        let command = |((linear, angular), ((targets, rates), torques))| {
+            Ok(match (targets, rates, torques) {
+                (None, None, None) => {
+                    Command::Twist { linear: axes(linear, "linear")?, angular: axes(angular, "angular")? }
+                }
+                (None, None, Some(torques)) => Command::JointTorques(torques),
+                (targets, rates, torques) => Command::JointMotion { targets, rates, torques },
             })
         };
-        let commands = all.map(command).collect::<PyResult<Vec<_>>>()?;
+        let commands = all.zip(joints).map(command).collect::<PyResult<Vec<_>>>()?;
         tell(py, machine.len(), worlds, commands, |world, command| machine.world_mut(world).act(body, command))
     }
 
@@ -662,7 +671,7 @@ impl Simulation {
     #[pyo3(signature = (
         body, *, position=None, rotation=None, velocity=None, angular_velocity=None, joints=None, joint_rates=None, worlds=None
     ))]
-    #[allow(clippy::too_many_arguments, reason = "each is a keyword of Python's")]
+    #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn place(
         &self,
         py: Python<'_>,

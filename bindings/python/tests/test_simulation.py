@@ -204,6 +204,24 @@ def test_a_push_is_momentum(dog):
         dog.push("dog", [1, 0])
 
 
+def test_what_a_plan_warns_of_is_a_warning(press, tmp_path):
+    press["tool"][0]["shape"] = {"box": {"half": [0.1, 0.1, 0.01]}}
+    with pytest.warns(barchan.BarchanWarning, match="tool 'plate' is 20.000 mm thick") as said:
+        simulation = barchan.Simulation(press, worlds=2)
+    assert [str(one.message) for one in said] == simulation.plan().warnings
+    assert said[0].filename == __file__
+
+
+def test_motors_take_rates(dog):
+    with pytest.raises(barchan.BodyError, match="has kp, and no joint targets"):
+        dog.act("dog", joint_rates=np.ones(12))
+    stance = dog.robots()["dog"].joint_position
+    dog.act("dog", joint_targets=stance, joint_rates=np.zeros(12), joint_torques=np.full(12, 0.1))
+    dog.advance(0.01)
+    with pytest.raises(TypeError, match="give one command"):
+        dog.act("dog", linear=[0, 0, 1], joint_rates=np.ones(12))
+
+
 def test_a_robot_can_be_put_elsewhere(dog):
     dog.advance(0.01)
     before = dog.robots()["dog"]

@@ -1,6 +1,6 @@
 //! What a robot is told or given from outside: commands to its joints, blows, and another place.
 
-use super::joints::Order;
+use super::joints::{Gains, Order};
 use super::model::Drive;
 use super::touching::Obstacle;
 use super::{Robot, State};
@@ -25,28 +25,49 @@ impl Robot {
             let what = format!("it moves by what acts on it, and {} is asked for", command.name());
             return Err(Refusal::new(what, "give it a motion = { velocity = {} }"));
         }
-        let (numbers, holds) = match command {
-            Command::JointTargets(numbers) => (numbers, true),
-            Command::JointTorques(numbers) => (numbers, false),
+        let (targets, rates, torques, holds) = match command {
+            Command::JointTargets(targets) => (Some(targets), None, None, true),
+            Command::JointTorques(torques) => (None, None, Some(torques), false),
+            Command::JointMotion { targets, rates, torques } => {
+                (targets.as_ref(), rates.as_ref(), torques.as_ref(), true)
+            }
             other => {
                 let what = format!("it is moved by its joints, and {} is asked for", other.name());
                 return Err(Refusal::new(what, "give joint targets or joint torques"));
             }
         };
-        let count = self.model.drives.len();
-        if holds && count > 0 && self.gains.iter().all(|gains| gains.kp == 0.0 && gains.kd == 0.0) {
-            let what = "no motor of it has gains, so that joint targets move nothing";
+        let drives = &self.model.drives;
+        let has_none = |of: fn(&Gains) -> f64| !drives.is_empty() && self.gains.iter().all(|gains| of(gains) == 0.0);
+        if targets.is_some() && has_none(|gains| gains.kp) {
+            let what = "no motor of it has kp, so that joint targets move nothing";
             return Err(Refusal::new(
                 what,
                 "give the robot a [[robot.motor]] with kp and kd in the scene, or give joint torques",
             ));
         }
-        self.check_numbers(numbers)?;
-        let order = |(&x, drive): (&f64, &Drive)| match holds {
-            true => Order { target: x.clamp(drive.limits[0], drive.limits[1]), holds, ..Order::default() },
-            false => Order { torque: x, holds, ..Order::default() },
+        if rates.is_some() && has_none(|gains| gains.kd) {
+            let what = "no motor of it has kd, so that joint rates move nothing";
+            return Err(Refusal::new(
+                what,
+                "give the robot a [[robot.motor]] with kd in the scene, or give joint torques",
+            ));
+        }
+        let holding = drives.iter().zip(&self.gains).find(|(_, gains)| holds && targets.is_none() && gains.kp != 0.0);
+        if let Some((drive, _)) = holding {
+            let what = format!("the motor of joint '{}' has kp, and no joint targets are given", drive.name);
+            return Err(Refusal::new(what, "give joint targets, too, or the joint a motor with kp = 0"));
+        }
+        for numbers in [targets, rates, torques].into_iter().flatten() {
+            self.check_numbers(numbers)?;
+        }
+        let number = |of: Option<&Vec<f64>>, d: usize| of.map_or(0.0, |numbers| numbers[d]);
+        let order = |(d, drive): (usize, &Drive)| Order {
+            target: number(targets, d).clamp(drive.limits[0], drive.limits[1]),
+            rate: number(rates, d),
+            torque: number(torques, d),
+            holds,
         };
-        self.state.orders = Some(numbers.iter().zip(&self.model.drives).map(order).collect());
+        self.state.orders = Some(drives.iter().enumerate().map(order).collect());
         Ok(())
     }
 

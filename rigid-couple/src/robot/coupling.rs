@@ -13,7 +13,7 @@ use super::{Robot, State, balance, dynamics};
 use crate::grip::{self, REACH};
 use crate::motion::{Pose, rotation_from};
 use crate::rigid::body::Guided;
-use crate::rigid::thin;
+use crate::rigid::{rounded, thin};
 use crate::world::friction_of;
 use crate::{Refusal, Sdf, is_within_reach, sdf};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
@@ -789,6 +789,13 @@ impl Coupling for Robots {
                     2.0 * half / cell_width,
                     1e3 * half / 3.0,
                 )
+            }));
+            let thick = ends().filter(|(_, shape)| shape.half_thickness() >= 2.0 * cell_width);
+            let faces =
+                thick.filter_map(|(body, shape)| Some((robot.body_name(body), shape.rounded_face(cell_width)?)));
+            warnings.extend(named_together(faces).into_iter().map(|(names, several, width)| {
+                let (links, have) = if several { ("links", "have") } else { ("link", "has") };
+                format!("{links} {names} {have} {}", rounded(width, cell_width))
             }));
         }
         warnings

@@ -103,6 +103,26 @@ fn thin_blades_let_nothing_through() {
     }
 }
 
+/// What contact takes from the edges of boxes and cylinders is told where it matters; a mesh keeps its edges, and balls have none.
+#[test]
+fn faces_that_rounded_edges_leave_small_are_told() {
+    let warned = |shape: &str, cell: f64| {
+        let text = format!("[[tool]]\nname = 'foot'\nshape = {{ {shape} }}\nmotion = {{ velocity = {{}} }}");
+        rigid(&text).warnings(cell).join("\n")
+    };
+    for shape in ["box = { half = [0.08, 0.08, 0.08] }", "cylinder = { radius = 0.08, half_height = 0.1 }"] {
+        let warning = warned(shape, 0.02);
+        assert!(
+            warning.contains("tool 'foot' has faces 8.0 cells wide") && warning.contains("38 % of the force"),
+            "{warning}"
+        );
+        assert!(warning.contains("world.cell <= 5.333 mm"), "{warning}");
+        assert_eq!(warned(shape, 0.0053), "", "what it asks for is enough");
+        assert!(warned(shape, 0.04).contains("75 % of the force"));
+    }
+    assert_eq!(warned("sphere = { radius = 0.08 }", 0.02), "");
+}
+
 const LAWS: [&str; 3] = ["'stick'", "'slip'", "{ coulomb = { friction = 0.4 } }"];
 
 fn free_box(contact: &str, mass: f64, extra: &str) -> String {

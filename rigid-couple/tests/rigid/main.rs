@@ -45,6 +45,7 @@ fn batch(nodes: &[([f64; 3], f64, [f64; 3])]) -> NodeBatch {
         particles: (0..).zip(nodes).map(particle).collect(),
         cubes: (0..nodes.len() as u32).map(around).collect(),
         cell_width: 0.01,
+        periods: [0.0; 3],
         position: nodes.iter().map(|n| n.0).collect(),
         mass: nodes.iter().map(|n| n.1).collect(),
         velocity: nodes.iter().map(|n| n.2).collect(),

@@ -1,6 +1,7 @@
 //! Worlds whose ends meet: what is beyond a side is an image of what is at the other end.
 
 use super::{Wall, World};
+use crate::coupling::nearest;
 use crate::{Aabb, Vec3};
 
 impl World {
@@ -47,7 +48,7 @@ impl World {
     }
 
     fn nearest(&self, axis: usize, x: f64, to: f64) -> f64 {
-        self.period(axis).map_or(x, |period| x + period * ((to - x) / period).round())
+        nearest(x, to, self.period(axis).unwrap_or(0.0))
     }
 }
 

@@ -225,6 +225,9 @@ fn a_scene_of_ones_own_is_played_by_its_file() {
     let mut by_hand = start(&[3], &options);
     let one = |environment: &mut Environment| environment.step(&[action(3, 0)]).unwrap().remove(0).unwrap();
     assert_eq!(one(&mut played), one(&mut by_hand));
+    let drawn = Table::from_iter([("randomise".to_owned(), Given::Float(1.0))]);
+    let error = barchan::environment::task(&registry, path, &drawn).unwrap_err().to_string();
+    assert!(error.contains("task.parameters.randomise") && error.contains("draws nothing"), "{error}");
     let error = barchan::environment::task(&registry, "there/is/none.toml", &both).unwrap_err().to_string();
     assert!(error.contains("none.toml"), "{error}");
 }

@@ -90,6 +90,48 @@ fn bodies_meet_images_of_the_ground_beyond_periodic_sides() {
     }
 }
 
+/// Symptom: of two bodies side by side one fell through the ground, if it was a period further: a block of nodes near both was the first one's image for both. Each meets the
+/// image that is nearest to it.
+#[test]
+fn bodies_side_by_side_meet_images_each_of_its_own() {
+    let ball = |name: &str, x: f64, motion: &str| {
+        format!(
+            "[[tool]]\nname = \"{name}\"\nposition = [{x}, 0.25, 0.17]\nshape = {{ sphere = {{ radius = 0.06 }} }}\nmotion = {motion}\n"
+        )
+    };
+    for options in everywhere() {
+        let within_forces = if options.backend == "cpu" { 1e-6 } else { 1e-2 };
+        for depth in [4_u32, 8] {
+            for motion in ["{ free = { mass = 1.0 } }", "{ velocity = { linear = [0.0, 0.0, -0.2] } }"] {
+                let high = f64::from(depth) / 32.0 - 0.125;
+                let beside = |off: f64| {
+                    let pair = |x: f64| ball("one", x, motion) + &ball("other", x + 0.125 + off, motion);
+                    let text = bed(depth, 0.1875, &pair).replace("0.17]", &format!("{}]", 0.17 + high));
+                    let (mut places, forces) = after(&text, 0.0, &options);
+                    places[1][0] -= off;
+                    (places, forces)
+                };
+                let (places, forces) = beside(0.0);
+                let most = forces.iter().map(norm).fold(0.0, f64::max);
+                assert!(forces.iter().all(|force| force[2] > 0.2 * most && most > 2.0), "both press: {forces:?}");
+                for off in [PERIOD, -2.0 * PERIOD] {
+                    let (there, felt) = beside(off);
+                    let case = format!(
+                        "{off} m off, {depth} cells deep, {motion}, {} {:?}",
+                        options.backend, options.precision
+                    );
+                    let apart = |a: &[Vec3], b: &[Vec3]| {
+                        let off = a.iter().zip(b).map(|(a, b)| norm([a[0] - b[0], a[1] - b[1], a[2] - b[2]]));
+                        off.fold(0.0, f64::max)
+                    };
+                    within(&format!("{case}: places [m]"), apart(&places, &there), 1e-6);
+                    within(&format!("{case}: forces, relative"), apart(&forces, &felt) / most, within_forces);
+                }
+            }
+        }
+    }
+}
+
 /// Ground that fell asleep wakes under a body that comes from beyond a side, and the height of the ground there is that of its image.
 #[test]
 fn ground_wakes_under_a_body_from_beyond_and_has_a_height_there() {

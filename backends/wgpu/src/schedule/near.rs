@@ -9,7 +9,7 @@ use barchan_core::contact::{Act, Contact};
 use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, Result};
 use barchan_grid::block::{self, CELLS, SIDE};
 use barchan_grid::limits::{FULL_SPEED, greater};
-use barchan_grid::near::{Cubes, gather_block, image_near};
+use barchan_grid::near::{Cubes, gather_block, is_near_block};
 use rayon::prelude::*;
 use rustc_hash::{FxHashMap, FxHashSet};
 use std::ops::Range;
@@ -206,21 +206,26 @@ impl Near {
     /// Hands over a level's nodes in some boxes, and the particles there, and takes back the nodes' velocities.
     fn apply(&mut self, level: usize, boxes: &[Aabb], wants_particles: bool, act: &mut Act<'_>) -> Result<f64> {
         let Met { h, blocks: ref own, layer, periods } = self.levels[level];
-        let (mut batch, mut places) = (NodeBatch { cell_width: h, ..NodeBatch::default() }, Vec::new());
+        let lengths = periods.map(|cells| f64::from(cells) * h);
+        let mut batch = NodeBatch { cell_width: h, periods: lengths, ..NodeBatch::default() };
+        let mut places = Vec::new();
+        // Along periodic axes a block has many places.
+        let wrapped = |first: [i32; 3]| -> [i32; 3] {
+            std::array::from_fn(|d| if periods[d] > 0 { first[d].rem_euclid(periods[d]) } else { first[d] })
+        };
         // The number in the batch of each node of the blocks that have any.
         let mut numbers: FxHashMap<[i32; 3], [u32; CELLS]> = FxHashMap::default();
         for (b, block) in self.blocks.iter().enumerate().filter(|(_, block)| own.contains(&(block.number as usize))) {
-            let Some(first) = image_near(boxes, block.first, h, periods) else { continue };
             let node = |n: usize| {
                 let [u, v, w, mass] = block.nodes[n].map(f64::from);
                 ([u, v, w], mass)
             };
             let mut own = Cubes::ABSENT;
-            gather_block(&mut batch, boxes, first, self.least_mass, node, |n, _, number| {
+            gather_block(&mut batch, boxes, block.first, periods, self.least_mass, node, |n, _, number| {
                 own[n] = number;
                 places.push((b, n));
             });
-            numbers.insert(first, own);
+            numbers.insert(wrapped(block.first), own);
         }
         if batch.is_empty() {
             return Ok(0.0);
@@ -231,23 +236,28 @@ impl Near {
             let from = self.particles.partition_point(|particle| particle.layer() < layer);
             let to = self.particles.partition_point(|particle| particle.layer() <= layer);
             for of_block in self.particles[from..to].chunk_by(Particle::is_beside) {
-                let Some(image) = image_near(&wider, of_block[0].cell().0, h, periods) else { continue };
+                let (first, _) = of_block[0].cell();
+                if !is_near_block(&wider, first, h, 0.0, periods) {
+                    continue;
+                }
                 let beside = |n: usize| {
                     let offset = block::offset(n);
-                    numbers.get(&std::array::from_fn(|d| image[d] + SIDE * offset[d])).unwrap_or(&Cubes::ABSENT)
+                    numbers
+                        .get(&wrapped(std::array::from_fn(|d| first[d] + SIDE * offset[d])))
+                        .unwrap_or(&Cubes::ABSENT)
                 };
                 let mut around = Cubes::of(std::array::from_fn(beside));
                 for particle in of_block {
                     let (_, local) = particle.cell();
                     let in_cell = particle.place.map(|x| f64::from(x) / f64::from(1 << 24));
                     let (to_first, place) = NearParticle::between_nodes(in_cell);
-                    let first = std::array::from_fn(|d| local[d] + to_first[d]);
-                    let cube = around.number(first, &mut batch.cubes);
+                    let node = std::array::from_fn(|d| local[d] + to_first[d]);
+                    let cube = around.number(node, &mut batch.cubes);
                     if batch.cubes[cube as usize].iter().any(|&node| node != NodeBatch::NONE) {
                         let [modulus, specific_volume, ..] = self.materials[particle.material as usize].map(f64::from);
                         batch.particles.push(NearParticle {
                             cube,
-                            position: std::array::from_fn(|d| (f64::from(image[d] + local[d]) + in_cell[d]) * h),
+                            position: std::array::from_fn(|d| (f64::from(first[d] + local[d]) + in_cell[d]) * h),
                             place,
                             volume: f64::from(f32::from_bits(particle.mass)) * specific_volume,
                             modulus,

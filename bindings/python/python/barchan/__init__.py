@@ -13,6 +13,7 @@
 from barchan._core import Environment, Simulation, State, __version__, adapters, add_material, load_plugin, registry, scenes, task
 from barchan.errors import (
     BarchanError,
+    BarchanWarning,
     BodyError,
     BusyError,
     CapacityError,
@@ -28,6 +29,7 @@ from barchan.errors import (
 
 __all__ = [
     "BarchanError",
+    "BarchanWarning",
     "BodyError",
     "BusyError",
     "CapacityError",

@@ -84,6 +84,7 @@ class Simulation:
         linear: ArrayLike | None = None,
         angular: ArrayLike | None = None,
         joint_targets: ArrayLike | None = None,
+        joint_rates: ArrayLike | None = None,
         joint_torques: ArrayLike | None = None,
         worlds: _Worlds | None = None,
     ) -> None: ...

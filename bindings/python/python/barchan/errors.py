@@ -28,6 +28,10 @@ class BarchanError(Exception):
     """Number of the world that it is about, where there are several."""
 
 
+class BarchanWarning(UserWarning):
+    """What the plan of a scene warns of: the scene runs, but maybe not as it is meant. ``Simulation.plan`` has it, too."""
+
+
 class SceneError(BarchanError, ValueError):
     """A scene that cannot be used."""
 

@@ -412,7 +412,8 @@ impl Coupling for Dumbbell {
     }
     fn touch(&mut self, body: usize, _: f64, nodes: &NodeBatch, touches: &mut Vec<Touch>) {
         for (node, position) in nodes.position.iter().enumerate() {
-            let arm = DVec3::from_array(*position) - self.state.centers[body];
+            let center = self.state.centers[body];
+            let arm = DVec3::from_array(nodes.image_near(*position, center.to_array())) - center;
             let distance = arm.length() - self.radius;
             if distance < 0.0
                 && let Some(normal) = arm.try_normalize()

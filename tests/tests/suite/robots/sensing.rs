@@ -2,6 +2,7 @@
 
 use super::{MOTORS, SAND, root, simulation, space, stand};
 use barchan::{BodyState, Command, Options, Precision, RobotState, Scene, Simulation};
+use barchan_tests::scenes::everywhere;
 use glam::{DQuat, DVec3};
 
 const G: f64 = 9.81;
@@ -296,6 +297,88 @@ fn a_blow_on_a_robot_is_momentum() {
     let last = arm.bodies().pop().unwrap().name;
     arm.act(&last, &Command::Impulse { linear, angular }).unwrap();
     assert!(arm.joints().iter().any(|joint| joint.rate.abs() > 0.1));
+}
+
+/// Motors told rates turn at these; told torques besides targets, they rest by torque/kp off. What no gain acts on is refused by name.
+#[test]
+fn motors_take_rates_and_torques_besides_targets() {
+    let arm = |motor: &str| {
+        space(0.0, &format!("[[robot]]\nname = \"arm\"\nmodel = \"arm\"\nfixed = true\nmotor = [{{ {motor} }}]\n"))
+    };
+    for options in everywhere() {
+        let start = |motor: &str| Simulation::new(&barchan::registry(), &arm(motor), &options).unwrap();
+        // Its joints have some damping of their own.
+        let mut turning = start("kd = 2000");
+        let count = turning.joints().len();
+        let motion = |targets: Option<f64>, rates: Option<f64>, torques: Option<f64>| {
+            let all = |x: Option<f64>| x.map(|x| vec![x; count]);
+            Command::JointMotion { targets: all(targets), rates: all(rates), torques: all(torques) }
+        };
+        turning.act("arm", &motion(None, Some(0.2), None)).unwrap();
+        // And dry friction, which holds them by less than half a milliradian.
+        let mut held = start("kp = 1000, kd = 200");
+        let first: Vec<f64> = held.joints().iter().map(|joint| joint.position).collect();
+        let offset = first.iter().map(|x| x + 0.01).collect();
+        held.act("arm", &Command::JointMotion { targets: Some(offset), rates: None, torques: Some(vec![10.0; count]) })
+            .unwrap();
+        for simulation in [&mut turning, &mut held] {
+            run(simulation, 2.0, |_| ());
+        }
+        for (joint, first) in turning.joints().iter().zip(&first) {
+            let what = format!(
+                "{} {}: {} at {:.4} rad/s, {:.3} rad",
+                options.backend, options.precision, joint.name, joint.rate, joint.position
+            );
+            assert!((joint.rate - 0.2).abs() < 2e-3 && joint.position - first > 0.3, "{what}");
+        }
+        for (joint, first) in held.joints().iter().zip(&first) {
+            let off = joint.position - first;
+            assert!(
+                (off - 0.01 - 10.0 / 1000.0).abs() < 1e-3,
+                "{} {}: {} is {off} rad off",
+                options.backend,
+                options.precision,
+                joint.name
+            );
+        }
+        for (motor, command, expected) in [
+            ("kp = 50, kd = 20", motion(None, Some(1.0), None), "has kp, and no joint targets are given"),
+            ("kd = 50", motion(Some(0.0), None, None), "no motor of it has kp"),
+            ("kp = 5", motion(Some(0.0), Some(1.0), None), "no motor of it has kd"),
+            ("kd = 50", motion(None, Some(f64::NAN), None), "is NaN"),
+        ] {
+            let error = start(motor).act("arm", &command).unwrap_err().to_string();
+            assert!(error.contains("robot 'arm'") && error.contains(expected), "{error}");
+        }
+    }
+}
+
+/// A scan sees hard ground: the top of fixed tools, whatever they are, where they stand above the soft ground. What moves it does not see.
+#[test]
+fn scans_see_tools_that_stay() {
+    let tool = |shape: &str, at: [f64; 3], motion: &str| {
+        format!("[[tool]]\nname = \"t{}\"\nposition = {at:?}\nshape = {shape}\n{motion}\n", (100.0 * at[0]).round())
+    };
+    let cube = "{ box = { half = [0.09, 0.09, 0.1] } }";
+    let parts = [
+        tool(cube, [0.3, 0.5, 0.2], ""),
+        tool("{ sphere = { radius = 0.09 } }", [0.7, 0.5, 0.21], ""),
+        tool(cube, [0.5, 0.5, 0.4], "motion = { velocity = {} }"),
+        tool("{ plane = { normal = [0, 0, 1] } }", [0.0, 0.0, 0.05], ""),
+    ];
+    let text = format!(
+        "name = \"hard\"\nworld = {{ cell = 0.02, min = [0, 0, 0], max = [1, 1, 1.2] }}\ntime = {{ end = 1 }}\n[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nposition = [0.5, 0.5, 1.0]\nscan = {{ min = [-0.2, 0], max = [0.2, 0.3], points = [5, 2] }}\n{}",
+        parts.concat()
+    );
+    let scene = Scene::from_str(&text, "hard.toml", root()).unwrap();
+    let heights = simulation(&scene, Precision::F64).scan("dog").unwrap().heights;
+    let expected = [0.3, 0.05, 0.05, 0.05, 0.3, 0.05, 0.05, 0.05, 0.05, 0.05];
+    println!("{heights:?}");
+    for (i, (height, expected)) in heights.iter().zip(expected).enumerate() {
+        let height = height.unwrap() + 1.0;
+        // Edges of the box are round, and its face is a cell away from them.
+        assert!((height - expected).abs() < 1e-4, "point {i}: {height} m, {expected} m");
+    }
 }
 
 /// Targets for joints whose motors have no gains move nothing, and are refused; an armature that slows down what nothing drives is told.
