@@ -96,7 +96,7 @@ pub fn boxes_near_block(
     periods: [i32; 3],
 ) -> impl Iterator<Item = Aabb> {
     let near = nodes_of_block(first, h).grown(within);
-    let images = boxes.iter().flat_map(move |one| images(one, first, h, periods));
+    let images = boxes.iter().flat_map(move |one| images(one, first, h, within, periods));
     images.filter(move |one| one.meets(&near))
 }
 
@@ -106,8 +106,8 @@ fn nodes_of_block(first: [i32; 3], h: f64) -> Aabb {
     Aabb { min: first.map(centre), max: first.map(|c| centre(c + SIDE - 1)) }
 }
 
-/// The image of a box whose middle is nearest to a block, and those next to it, along periodic axes.
-fn images(one: &Aabb, first: [i32; 3], h: f64, periods: [i32; 3]) -> impl Iterator<Item = Aabb> + use<> {
+/// The image of a box whose middle is nearest to a block, along periodic axes, and those next to it if it is so wide that they may be within so much [m] of the block, too.
+fn images(one: &Aabb, first: [i32; 3], h: f64, within: f64, periods: [i32; 3]) -> impl Iterator<Item = Aabb> + use<> {
     let one = *one;
     let along = std::array::from_fn::<_, 3, _>(|d| {
         let middle = (0.5 * (one.min[d] + one.max[d]) / h).floor();
@@ -115,7 +115,9 @@ fn images(one: &Aabb, first: [i32; 3], h: f64, periods: [i32; 3]) -> impl Iterat
             return (0..1, 0.0, 0.0);
         }
         let period = f64::from(periods[d]) * h;
-        (-1..2, -f64::from(nearest(first[d] + SIDE / 2, middle as i32, periods[d])) * h, period)
+        let is_wide = 0.5 * (one.max[d] - one.min[d]) + within + f64::from(SIDE) * h > 0.5 * period;
+        let turns = if is_wide { -1..2 } else { 0..1 };
+        (turns, -f64::from(nearest(first[d] + SIDE / 2, middle as i32, periods[d])) * h, period)
     });
     let [x, y, z] = along.each_ref().map(|(turns, ..)| turns.clone());
     let turns = x.flat_map(move |x| y.clone().map(move |y| [x, y]));
@@ -163,7 +165,7 @@ mod tests {
             found
         };
         assert!(near(&far, -4, 8).iter().eq(&[6.2 - 8.0]) && near(&far, -4, 0).is_empty());
-        // A box in the middle of the world meets both of its blocks where they are, and one as wide as the world meets each from both sides.
+        // A box in the middle of the world meets both of its blocks where they are, and one as wide as the world meets the one that it begins in from both sides.
         let wide = [Aabb { min: [-1.0, 0.2, 0.2], max: [1.0, 0.3, 0.3] }];
         assert_eq!([-4, 0].map(|x| near(&wide, x, 8)), [[-1.0], [-1.0]]);
         let whole = [Aabb { min: [-0.5, 0.2, 0.2], max: [3.5, 0.3, 0.3] }];

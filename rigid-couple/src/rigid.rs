@@ -263,8 +263,8 @@ impl Rigid {
     }
 }
 
-/// What is to be said of a tool that is thin for cells of that width [m].
-pub(crate) fn thin(name: &str, shape: &Sdf, cell_width: f64) -> Option<String> {
+/// What is to be said of a tool that is thin for cells of that width [m], or whose faces are narrow, if it `moves`.
+pub(crate) fn thin(name: &str, shape: &Sdf, cell_width: f64, moves: bool) -> Option<String> {
     let thickness = 2.0 * shape.half_thickness();
     if thickness < 2.0 * cell_width {
         return Some(format!(
@@ -281,14 +281,18 @@ pub(crate) fn thin(name: &str, shape: &Sdf, cell_width: f64) -> Option<String> {
             1e3 * thickness / 6.0,
         ));
     }
-    shape.rounded_face(cell_width).map(|width| format!("tool '{name}' has {}", rounded(width, cell_width)))
+    // What stays presses on nothing by itself.
+    shape
+        .rounded_face(cell_width)
+        .filter(|_| moves)
+        .map(|width| format!("tool '{name}' has {}", rounded(width, cell_width)))
 }
 
 /// What is to be said of faces so many cells wide, whose edges contact rounds: a cube of 16 cm that was pressed 2 cm into sand felt 0.31, 0.62, 0.75 and 0.82 of the force on
 /// one with sharp edges on cells of 4, 2, 1⅓ and 1 cm, so that three over its width in cells were missing.
 pub(crate) fn rounded(width: f64, cell_width: f64) -> String {
     format!(
-        "faces {width:.1} cells wide, and contact rounds edges to {ROUND} cells: {:.0} % of the force on a face may be missing while it is not deeper in the ground than that; for a tenth use world.cell <= {:.3} mm, or a mesh of the same shape, which keeps its edges",
+        "faces {width:.1} cells wide, and contact rounds edges to {ROUND} cells: {:.0} % of the force on a face may be missing while it is less than {ROUND} cells deep in the ground; for a tenth use world.cell <= {:.3} mm, or a mesh of the same shape, which keeps its edges",
         100.0 * (2.0 * ROUND / width).min(0.75),
         1e3 * width * cell_width / (20.0 * ROUND),
     )
@@ -560,6 +564,16 @@ impl Coupling for Rigid {
         sdf::distances(&shapes, points)
     }
 
+    fn contact_distance(&self, body: usize, points: &[Vec3]) -> Vec<f64> {
+        let Body { shape, state, .. } = &self.bodies[body];
+        let turn = state.pose.rotation.conjugate();
+        let to = |x: &Vec3| {
+            let local = turn * (DVec3::from_array(*x) - state.pose.position);
+            shape.contact_surface(local, self.scene.world.cell).0.distance
+        };
+        points.iter().map(|x| if state.present { to(x) } else { f64::INFINITY }).collect()
+    }
+
     fn surfaces(&self) -> Vec<Surface> {
         let of_body = |body: &Body| {
             let mesh = body.mesh.get_or_init(|| mesh_of(&body.shape));
@@ -617,7 +631,7 @@ impl Coupling for Rigid {
     fn warnings(&self, cell_width: f64) -> Vec<String> {
         let mut warnings = Vec::new();
         for body in &self.bodies {
-            warnings.extend(thin(&body.name, &body.shape, cell_width));
+            warnings.extend(thin(&body.name, &body.shape, cell_width, body.moves()));
             if body.ignored_position {
                 warnings
                     .push(format!("tool '{}': its position is ignored, since keyframes say where it is", body.name));

@@ -413,7 +413,7 @@ impl Sdf {
         self.parts.iter().fold(f64::INFINITY, |t, part| t.min(part.half_thickness))
     }
 
-    /// Width of its narrowest face with sharp edges in cells [m], if rounding these takes more than a quarter of the force on it.
+    /// The narrower side of a part's widest face in cells [m], the least of all parts with sharp edges, if rounding these takes more than a quarter of the force on it.
     pub(crate) fn rounded_face(&self, cell: f64) -> Option<f64> {
         let face = |part: &Part| match part.primitive {
             Primitive::Box { half } => {
@@ -421,7 +421,7 @@ impl Sdf {
                 half.sort_by(f64::total_cmp);
                 Some(2.0 * half[1])
             }
-            Primitive::Cylinder { radius, .. } => Some(2.0 * radius),
+            Primitive::Cylinder { radius, half_height } => Some(2.0 * radius.min(half_height)),
             _ => None,
         };
         self.parts.iter().filter_map(face).reduce(f64::min).map(|width| width / cell).filter(|width| *width < FACE)

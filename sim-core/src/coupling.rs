@@ -89,13 +89,13 @@ pub struct Placement {
 }
 
 impl Command {
-    /// What it gives, for messages: "a twist", "joint targets", "joint torques", "a motion of joints", "an impulse" or "another place".
+    /// What it gives, for messages: "a twist", "joint targets", "joint torques", "joint rates", "an impulse" or "another place".
     pub fn name(&self) -> &'static str {
         match self {
             Self::Twist { .. } => "a twist",
             Self::JointTargets(_) => "joint targets",
             Self::JointTorques(_) => "joint torques",
-            Self::JointMotion { .. } => "a motion of joints",
+            Self::JointMotion { .. } => "joint rates",
             Self::Impulse { .. } => "an impulse",
             Self::Place(_) => "another place",
         }
@@ -321,8 +321,11 @@ impl NodeBatch {
 
 /// The image of a coordinate that is nearest to another one [m], where images are so far apart; 0 where there are none.
 pub(crate) fn nearest(x: f64, to: f64, period: f64) -> f64 {
+    if period == 0.0 {
+        return x;
+    }
     let turns = ((to - x) / period).round();
-    if period > 0.0 && turns.is_finite() { x + period * turns } else { x }
+    if turns.is_finite() { x + period * turns } else { x }
 }
 
 /// How a coupling acts on nodes, as a device can do it.

@@ -40,8 +40,8 @@ pub(crate) struct Ends {
 pub(crate) struct Runout {
     /// Does it flow apart along x, along y?
     pub(crate) along: [bool; 2],
-    /// Is it a fluid, which moves as soon as something stirs it, whatever holds it?
-    pub(crate) is_fluid: bool,
+    /// Is it a fluid, which mixes as soon as something stirs it, whatever holds it?
+    pub(crate) mixes: bool,
     /// The box that it may come to fill, inside the world [m]; none where it stays about where it is.
     pub(crate) reaches: Option<Aabb>,
 }
@@ -77,10 +77,11 @@ pub(crate) fn of_body<'a>(
     let is_one_sided = |d: usize| ends.sides[d][0] != ends.sides[d][1];
     let half = |d: usize| if is_one_sided(d) { size[d] } else { 0.5 * size[d] };
     let is_upright = (0..2).all(|d| scene.gravity[d].abs() <= scene.gravity[2].abs());
+    let mixes = is_fluid && is_upright;
     let flows = |d: usize| (ends.sides[d] != [false; 2] || ends.below) && (is_fluid || height > LOW * half(d));
     let along = if collapsing.is_empty() || !is_upright { [false; 2] } else { [flows(0), flows(1)] };
     if scene.levels.reach > 0 || !flies && along == [false; 2] {
-        return Runout { along, is_fluid, reaches: None };
+        return Runout { along, mixes, reaches: None };
     }
     let is_open = world.walls.z_min == Wall::Open;
     let drop = if ends.below && !is_open { bounds.min[2] - world.min[2] } else { 0.0 };
@@ -123,17 +124,18 @@ pub(crate) fn of_body<'a>(
     if ends.below && along != [false; 2] {
         reaches.min[2] = world.min[2];
     }
-    Runout { along, is_fluid, reaches: Some(reaches.intersection(&scene.world_box())) }
+    Runout { along, mixes, reaches: Some(reaches.intersection(&scene.world_box())) }
 }
 
-/// Does anything in a scene stir a fluid that walls hold: what flows in or out, flies or flows apart, a tool that moves, a robot? One that nothing stirs stays in balance to rounding
+/// Does anything in a scene stir a fluid that walls hold: what flows in or out, flies or flows apart, a tool that moves, a robot, gravity that is not along z? One that nothing stirs stays in balance to rounding
 /// on a lattice, and only there.
 pub(crate) fn is_stirred(scene: &Scene, runouts: &[Runout]) -> bool {
     let flows = !scene.inflow.is_empty() || !scene.outflow.is_empty();
     let moves = !scene.robot.is_empty() || scene.tool.iter().any(|tool| !matches!(tool.motion, Motion::Fixed));
     let falls = runouts.iter().any(|runout| runout.along != [false; 2]);
     let flies = scene.body.iter().any(|body| [body.velocity, body.angular_velocity] != [[0.0; 3]; 2]);
-    flows || moves || falls || flies
+    let slides = scene.gravity[0] != 0.0 || scene.gravity[1] != 0.0;
+    flows || moves || falls || flies || slides
 }
 
 /// Does a face of a material that is so high [m] fall down?

@@ -269,8 +269,7 @@ impl Terrain {
         let (is_stirred, in_slice) = (runout::is_stirred(scene, &runouts), scene.world.plane_strain.is_some());
         for ((index, body), runout) in scene.body.iter().enumerate().zip(runouts) {
             self.reaches.extend(runout.reaches);
-            let mixes =
-                |d: usize| runout.is_fluid && is_stirred && !scene.world.is_periodic(d) && !(d == 1 && in_slice);
+            let mixes = |d: usize| runout.mixes && is_stirred && !scene.world.is_periodic(d) && !(d == 1 && in_slice);
             let along = [0, 1].map(|d| runout.along[d] || mixes(d));
             let places = match body.sampling {
                 Sampling::Lattice => Places::Lattice,

@@ -1,7 +1,7 @@
 //! What robots sense besides their joints: how their base moves, what their links touch, and how high the ground around stands.
 //!
 //! Nothing here is worked out before somebody asks. [`Simulation::robots`] costs no look at the ground; [`Simulation::patches`] and [`Simulation::scan`] read
-//! the particles near the robot.
+//! the particles near the robot, and scans ask tools that stay where they are.
 
 use crate::scene::Wall;
 use crate::{Aabb, Coupling, Error, Fields, Reading, Result, Simulation, Vec3, Wrench};
@@ -176,13 +176,14 @@ impl Simulation {
         Ok(state.links.iter().enumerate().map(patch).collect())
     }
 
-    /// The heights that a robot's `scan` asks for. Its points turn with the base about the vertical, but stay level.
+    /// The heights that a robot's `scan` asks for. Its points turn with the base about the vertical, but stay level. Tools that stay where they are count as ground, by their
+    /// surfaces as contact has them.
     ///
     /// # Errors
     /// Those of [`scan_points`](Self::scan_points), [`Error::Device`] if the particles were lost with their device.
     pub fn scan(&self, robot: &str) -> Result<HeightScan> {
         let (points, base) = self.scan_points(robot)?;
-        let heights = self.heights(&points)?;
+        let heights = self.with_hard_ground(&points, self.heights(&points)?);
         Ok(HeightScan::new(points, base, heights))
     }
 
@@ -207,7 +208,7 @@ impl Simulation {
 
     /// Height of the surface of the soft ground above or below each point [m]: where, seen from above, particles first fill half of space, taken over a particle's
     /// width to all sides. Single grains in the air are not the ground. Where there is none, that of the world's floor; none if it is open.
-    /// Ground out of `levels.reach` that nothing has changed is where the scene's shapes have it. Tools that stay where they are count as ground; others and robots are not seen. Along periodic axes the ground goes on beyond the sides.
+    /// Ground out of `levels.reach` that nothing has changed is where the scene's shapes have it. Tools and robots are not seen. Along periodic axes the ground goes on beyond the sides.
     ///
     /// # Errors
     /// [`Error::Device`] if the particles were lost with their device.
@@ -247,37 +248,35 @@ impl Simulation {
         points.iter().zip(untouched.chunks(corners)).map(height).collect()
     }
 
-    /// Heights of what particles are at points [m], completed: by ground out of reach, by the world's floor where there is no ground, and by tools that stay where they are.
+    /// Heights of what particles are at points [m], completed: by ground out of reach, and by the world's floor where there is no ground.
     pub(crate) fn completed(&self, points: &[[f64; 2]], heights: Vec<Option<f64>>) -> Vec<Option<f64>> {
         let world = &self.plan().scene.world;
         let floor = (world.walls.z_min != Wall::Open).then_some(world.min[2]);
         // Beside the edge, particles on one side alone fill half of space at most. Ground there is held at rest.
         let untouched = self.untouched_heights(points, 0.5 * self.widest());
-        let soft = heights.into_iter().zip(untouched).map(|(height, untouched)| untouched.or(height).or(floor));
-        soft.zip(self.hard_heights(points)).map(|(soft, hard)| soft.into_iter().chain(hard).reduce(f64::max)).collect()
+        heights.into_iter().zip(untouched).map(|(height, untouched)| untouched.or(height).or(floor)).collect()
     }
 
-    /// How high tools that stay where they are stand at points inside the world [m], by their surfaces as contact has them; none beside them.
-    fn hard_heights(&self, points: &[[f64; 2]]) -> Vec<Option<f64>> {
+    /// Heights of soft ground at points [m], or of tools that stay where they are, by their surfaces as contact has them, where these are higher.
+    pub(crate) fn with_hard_ground(&self, points: &[[f64; 2]], heights: Vec<Option<f64>>) -> Vec<Option<f64>> {
         let world = &self.plan().scene.world;
-        let mut tops = vec![None; points.len()];
+        let points: Vec<[f64; 2]> = points.iter().map(|point| world.inside(*point)).collect();
+        let mut heights = heights;
         for coupling in self.couplings() {
             let staying = coupling.bounds().into_iter().enumerate().filter(|(body, _)| coupling.stays(*body));
             for (body, bounds) in staying {
                 for by in world.images(&bounds) {
-                    let there = |[x, y]: [f64; 2]| [x + by[0], y + by[1]];
-                    let is_over = |[x, y]: [f64; 2]| {
-                        (bounds.min[0]..=bounds.max[0]).contains(&x) && (bounds.min[1]..=bounds.max[1]).contains(&y)
-                    };
-                    let over: Vec<usize> = (0..points.len()).filter(|i| is_over(there(points[*i]))).collect();
-                    let places: Vec<[f64; 2]> = over.iter().map(|i| there(points[*i])).collect();
+                    let there = |i: usize| [points[i][0] + by[0], points[i][1] + by[1]];
+                    let is_over = |i: &usize| (0..2).all(|d| (bounds.min[d]..=bounds.max[d]).contains(&there(*i)[d]));
+                    let over: Vec<usize> = (0..points.len()).filter(is_over).collect();
+                    let places: Vec<[f64; 2]> = over.iter().map(|i| there(*i)).collect();
                     for (i, top) in over.into_iter().zip(fallen_on(&**coupling, body, &bounds, &places, world.cell)) {
-                        tops[i] = tops[i].into_iter().chain(top).reduce(f64::max);
+                        heights[i] = heights[i].into_iter().chain(top).reduce(f64::max);
                     }
                 }
             }
         }
-        tops
+        heights
     }
 
     /// The particles that touch a body with such bounds.
@@ -375,19 +374,31 @@ impl Columns {
     }
 }
 
-/// How high a body's surface is at points within its box [m], found by falling on it from above by no more than it is away; none where it is missed.
+/// How high a body's surface is at points within its box [m], found by falling on it from above: by as much as it is away, and back by halves where that was too far; none where
+/// it is missed.
 fn fallen_on(coupling: &dyn Coupling, body: usize, bounds: &Aabb, points: &[[f64; 2]], cell: f64) -> Vec<Option<f64>> {
-    const STEPS: usize = 64;
-    let (near, least) = (1e-3 * cell, 1e-2 * cell);
-    let mut at: Vec<Vec3> = points.iter().map(|&[x, y]| [x, y, bounds.max[2]]).collect();
-    for _ in 0..STEPS {
+    // Beside an upright face it is near and yet far below.
+    let (near, least) = (1e-3 * cell, 0.1 * cell);
+    let mut found = vec![None; points.len()];
+    // Where each is, and where it was last above the surface.
+    let mut falling: Vec<(usize, [f64; 2])> = (0..points.len()).map(|i| (i, [bounds.max[2]; 2])).collect();
+    while !falling.is_empty() {
+        let at: Vec<Vec3> = falling.iter().map(|&(i, [z, _])| [points[i][0], points[i][1], z]).collect();
         let gaps = coupling.contact_distance(body, &at);
-        let falling = at.iter_mut().zip(gaps).filter(|(at, gap)| *gap > near && at[2] >= bounds.min[2]);
-        if falling.map(|(at, gap)| at[2] -= gap.max(least)).count() == 0 {
-            break;
-        }
+        let fall = |((i, [z, above]), gap): ((usize, [f64; 2]), f64)| {
+            if gap > near {
+                let below = z - gap.max(least);
+                return (below >= bounds.min[2] - least).then_some((i, [below, z]));
+            }
+            if gap >= -near || above - z <= near {
+                found[i] = Some(z);
+                return None;
+            }
+            Some((i, [0.5 * (above + z), above]))
+        };
+        falling = falling.into_iter().zip(gaps).filter_map(fall).collect();
     }
-    at.iter().map(|at| (at[2] >= bounds.min[2]).then_some(at[2])).collect()
+    found
 }
 
 #[cfg(test)]

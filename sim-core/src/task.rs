@@ -184,6 +184,7 @@ impl Simulation {
             Some(found) => self.completed(&watch.heights, found),
             None => self.heights(&watch.heights)?,
         };
+        let heights = self.with_hard_ground(&watch.heights, heights);
         let exact = Fields { exact: true, ..Fields::default() };
         let places = watch.places.map(|region| self.read(Some(region), exact)).transpose()?;
         Ok(Seen { sums, heights, sample, places: places.map(|reading| reading.exact).unwrap_or_default() })

@@ -58,10 +58,10 @@ pub(crate) struct Base {
     ranges: Vec<Limits>,
 }
 
-/// Is a parameter for the task's own scene given with that, and not with another one, where something of it has no effect?
+/// Refuses a parameter that changes the task's own scene, where another scene is given: `what` says what holds there instead.
 ///
 /// # Errors
-/// If a scene was given.
+/// If a scene is given.
 pub(crate) fn check_own(setup: &TaskSetup<'_>, parameter: &str, what: &str) -> Result<()> {
     if setup.scene.is_none() {
         return Ok(());

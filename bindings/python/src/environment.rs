@@ -2,7 +2,7 @@
 
 use crate::errors::{OrRaise, raised, warn};
 use crate::given::{
-    Numbers, blows, check_count, check_world, first_or_each, named, placements, precision, seeds, tell,
+    Numbers, blows, check_count, check_world, chosen, first_or_each, named, placements, precision, seeds, tell,
 };
 use crate::machine::Shared;
 use crate::picture::{array, check_part};
@@ -28,9 +28,10 @@ use std::time::{Duration, Instant};
 #[pyo3(signature = (name, parameters=None))]
 pub(crate) fn task<'py>(
     py: Python<'py>,
-    name: &str,
+    name: PathBuf,
     parameters: Option<&Bound<'py, PyDict>>,
 ) -> PyResult<Bound<'py, PyAny>> {
+    let name = &name.display().to_string();
     records::task(py, &*barchan::environment::task(&known(py)?, name, &table(parameters)?).or_raise(py)?)
 }
 
@@ -158,7 +159,7 @@ impl Environment {
     #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn new(
         py: Python<'_>,
-        task: &str,
+        task: PathBuf,
         worlds: usize,
         seed: Option<&Bound<'_, PyAny>>,
         backend: &str,
@@ -168,6 +169,7 @@ impl Environment {
         parameters: Option<&Bound<'_, PyDict>>,
         failures: &str,
     ) -> PyResult<Self> {
+        let task = &task.display().to_string();
         check_count(py, worlds)?;
         if !["raise", "end"].contains(&failures) {
             return Err(PyValueError::new_err(format!("failures: '{failures}' is neither \"raise\" nor \"end\"")));
@@ -274,7 +276,7 @@ impl Environment {
         worlds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let mut inner = self.inner(py)?;
-        let worlds = Simulation::chosen(worlds, self.worlds)?;
+        let worlds = chosen(worlds, self.worlds)?;
         let blows = blows(&impulse, angular.as_ref(), worlds.len())?;
         let all = inner.environment.worlds_mut();
         tell(py, self.worlds, worlds, blows, |world, command| all.world_mut(world).act(body, command))
@@ -283,7 +285,7 @@ impl Environment {
     /// Puts a body elsewhere, as `Simulation.place` does, and begins the episodes of these worlds anew from there, with the seeds that they have. Call it behind `reset`, to
     /// begin where no scene of the task does. An episode's file does not hold it.
     ///
-    /// Returns the observations of all worlds, float32 of shape (worlds, numbers). Raises what `Simulation.place` raises.
+    /// Returns the observations of all worlds, float32 of shape (worlds, numbers). Raises what `Simulation.place` raises; all these episodes begin anew then, too.
     #[pyo3(signature = (
         body, *, position=None, rotation=None, velocity=None, angular_velocity=None, joints=None, joint_rates=None, worlds=None
     ))]
@@ -301,13 +303,16 @@ impl Environment {
         worlds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let mut inner = self.inner(py)?;
-        let chosen = Simulation::chosen(worlds, self.worlds)?;
+        let chosen = chosen(worlds, self.worlds)?;
         let given = [position, rotation, velocity, angular_velocity, joints, joint_rates];
         let placements = placements(given, chosen.len())?;
         let all = inner.environment.worlds_mut();
-        tell(py, self.worlds, chosen.clone(), placements, |world, command| all.world_mut(world).act(body, command))?;
+        let told =
+            tell(py, self.worlds, chosen.clone(), placements, |world, command| all.world_mut(world).act(body, command));
+        // If a world refuses, those before it have been changed.
         let episodes: Vec<(usize, u64)> = chosen.iter().map(|&world| (world, inner.environment.seed(world))).collect();
         inner.begin(py, &episodes, |environment| environment.begin(&episodes))?;
+        told?;
         inner.observations(py)
     }
 
@@ -334,7 +339,7 @@ impl Environment {
         seeds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let mut inner = self.inner(py)?;
-        let chosen = Simulation::chosen(worlds, self.worlds)?;
+        let chosen = chosen(worlds, self.worlds)?;
         let seeds = seeds.map(|seeds| self::seeds(seeds, chosen.len())).transpose()?;
         let seed = |i: usize| seeds.as_ref().map_or_else(|| inner.environment.seed(chosen[i]), |seeds| seeds[i]);
         let episodes: Vec<(usize, u64)> = chosen.iter().enumerate().map(|(i, &world)| (world, seed(i))).collect();

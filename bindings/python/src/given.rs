@@ -70,6 +70,29 @@ pub(crate) fn named(adapter: &Bound<'_, PyAny>) -> PyResult<String> {
     Ok(adapter.str()?.to_string())
 }
 
+/// The number of a world, several, or all of them.
+pub(crate) fn chosen(worlds: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<Vec<usize>> {
+    let Some(worlds) = worlds else { return Ok((0..count).collect()) };
+    // Python's bools are numbers, too.
+    let is_bool = |one: &Bound<'_, PyAny>| one.is_instance_of::<PyBool>();
+    let is_mask =
+        is_bool(worlds) || worlds.extract::<Vec<Bound<'_, PyAny>>>().is_ok_and(|several| several.iter().any(is_bool));
+    if is_mask {
+        return Err(PyTypeError::new_err(
+            "worlds: these are bools; give numbers of worlds, such as numpy.flatnonzero makes of a mask",
+        ));
+    }
+    let chosen = worlds.extract::<usize>().map(|one| vec![one]).or_else(|_| worlds.extract::<Vec<usize>>());
+    let chosen = chosen
+        .map_err(|_| PyTypeError::new_err("worlds: give the number of a world, a list of them, or None for all"))?;
+    chosen.iter().try_for_each(|world| check_world(*world, count))?;
+    let mut is_there = vec![false; count];
+    match chosen.iter().find(|world| std::mem::replace(&mut is_there[**world], true)) {
+        Some(twice) => Err(PyValueError::new_err(format!("worlds: world {twice} is there twice"))),
+        None => Ok(chosen),
+    }
+}
+
 /// Rows of a command for so many worlds: one row for all of them, or one for each.
 pub(crate) fn per_world(values: Option<&Numbers<'_>>, what: &str, worlds: usize) -> PyResult<Vec<Option<Vec<f64>>>> {
     let Some(values) = values else { return Ok(vec![None; worlds]) };
@@ -137,7 +160,6 @@ pub(crate) fn placements(given: [Option<Numbers<'_>>; 6], worlds: usize) -> PyRe
     (0..worlds).map(place).collect()
 }
 
-/// Gives worlds of `count` a command each.
 /// Gives worlds of `count` a command each.
 pub(crate) fn tell(
     py: Python<'_>,

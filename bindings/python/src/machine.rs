@@ -124,24 +124,32 @@ impl Machine {
         Ok(taken)
     }
 
-    /// Steps towards a time in every world [s], as many as go in a slice; are all there?
-    pub(crate) fn approach(&mut self, until: &[f64]) -> Result<bool, Failure> {
-        match self {
+    /// Steps towards a time in every world [s], as many as go in a slice; are all there? A world that cannot go on waits for the others, and says why in `failure`, the first one
+    /// of several.
+    pub(crate) fn approach(&mut self, until: &mut [f64], failure: &mut Option<Failure>) -> bool {
+        let results = match self {
             Self::One(simulation) => {
                 let begun = Instant::now();
-                while simulation.time() < until[0] && begun.elapsed() < SLICE {
+                let mut result = Ok(());
+                while result.is_ok() && simulation.time() < until[0] && begun.elapsed() < SLICE {
                     simulation.set_stop(until[0]);
-                    simulation.steps(MOST, until[0]).map_err(|error| (error, None))?;
+                    result = simulation.steps(MOST, until[0]).map(drop);
                 }
-                Ok(simulation.time() >= until[0])
+                vec![result.map(|()| simulation.time() >= until[0])]
             }
-            Self::Many(worlds) => {
-                let mut all = true;
-                for (world, result) in worlds.approach(until, SLICE).into_iter().enumerate() {
-                    all &= result.map_err(|error| (error, Some(world)))?;
+            Self::Many(worlds) => worlds.approach(until, SLICE),
+        };
+        let several = results.len() > 1;
+        let mut all = true;
+        for (world, result) in results.into_iter().enumerate() {
+            match result {
+                Ok(there) => all &= there,
+                Err(error) => {
+                    failure.get_or_insert((error, several.then_some(world)));
+                    until[world] = f64::NEG_INFINITY;
                 }
-                Ok(all)
             }
         }
+        all
     }
 }

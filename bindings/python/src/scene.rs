@@ -57,12 +57,17 @@ pub(crate) fn read_each(
     }
 }
 
-/// Which of so many worlds have a random seed by overrides of their own.
-pub(crate) fn own_seeds(overrides: Option<&Bound<'_, PyAny>>, worlds: usize) -> PyResult<Vec<bool>> {
-    if overrides.is_some_and(|given| given.is_instance_of::<PyDict>()) {
-        return Ok(vec![false; worlds]);
+/// Which of so many worlds have a random seed by overrides of their own. None may, if seeds are `given` besides.
+pub(crate) fn own_seeds(overrides: Option<&Bound<'_, PyAny>>, worlds: usize, given: bool) -> PyResult<Vec<bool>> {
+    let gives = |one: &Option<Bound<'_, PyDict>>| one.as_ref().map_or(Ok(false), |one| one.contains("seed"));
+    let gives = each(overrides, worlds)?.iter().map(gives).collect::<PyResult<Vec<bool>>>()?;
+    if let Some(world) = gives.iter().position(|gives| given && *gives) {
+        let what = format!("seed: the overrides of world {world} give it one, too; leave out one of them");
+        return Err(PyValueError::new_err(what));
     }
-    each(overrides, worlds)?.iter().map(|one| one.as_ref().map_or(Ok(false), |one| one.contains("seed"))).collect()
+    // One dict is for all worlds: they count from its seed.
+    let is_for_all = overrides.is_some_and(|given| given.is_instance_of::<PyDict>());
+    Ok(gives.into_iter().map(|gives| gives && !is_for_all).collect())
 }
 
 /// Overrides for each of so many worlds: one dict for all, or a list with one for each.

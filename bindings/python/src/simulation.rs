@@ -2,8 +2,8 @@
 
 use crate::errors::{OrRaise, exception, raised, warn};
 use crate::given::{
-    Numbers, axes, blows, check_count, check_world, first_or_each, named, per_world, placements, precision, seeds,
-    tell, whole_seed,
+    Numbers, axes, blows, check_count, check_world, chosen, first_or_each, named, per_world, placements, precision,
+    seeds, tell, whole_seed,
 };
 use crate::machine::{Machine, Shared};
 use crate::state::State;
@@ -16,7 +16,7 @@ use barchan::{Aabb, Closest, Command, Fields, Options, Precision, Scene, Simulat
 use numpy::{PyArray1, PyArrayMethods};
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
-use pyo3::types::{PyBool, PyDict, PyTuple};
+use pyo3::types::{PyDict, PyTuple};
 use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};
 
@@ -101,25 +101,6 @@ impl Simulation {
         // Moved, so that it is the only one who looks: a world is not to be looked at by two threads.
         Ok(py.detach(move || ask(machine.world(world))))
     }
-
-    /// The number of a world, or all of them.
-    pub(crate) fn chosen(worlds: Option<&Bound<'_, PyAny>>, count: usize) -> PyResult<Vec<usize>> {
-        let Some(worlds) = worlds else { return Ok((0..count).collect()) };
-        // Python's bools are numbers, too.
-        let is_bool = |one: &Bound<'_, PyAny>| one.is_instance_of::<PyBool>();
-        let is_mask = is_bool(worlds)
-            || worlds.extract::<Vec<Bound<'_, PyAny>>>().is_ok_and(|several| several.iter().any(is_bool));
-        if is_mask {
-            return Err(PyTypeError::new_err(
-                "worlds: these are bools; give numbers of worlds, such as numpy.flatnonzero makes of a mask",
-            ));
-        }
-        let chosen = worlds.extract::<usize>().map(|one| vec![one]).or_else(|_| worlds.extract::<Vec<usize>>());
-        let chosen = chosen
-            .map_err(|_| PyTypeError::new_err("worlds: give the number of a world, a list of them, or None for all"))?;
-        chosen.iter().try_for_each(|world| check_world(*world, count))?;
-        Ok(chosen)
-    }
 }
 
 #[pymethods]
@@ -142,13 +123,9 @@ impl Simulation {
         let is_known = scene::is_built_in(scene);
         let mut scenes = scene::read_each(scene, overrides, worlds)?;
         let given = seed.map(|seed| first_or_each(seed, worlds)).transpose()?;
-        let own = scene::own_seeds(overrides, worlds)?;
+        let own = scene::own_seeds(overrides, worlds, given.is_some())?;
         for (world, scene) in scenes.iter_mut().enumerate() {
             scene.seed = match &given {
-                Some(_) if own[world] => {
-                    let what = format!("seed: the overrides of world {world} give it one, too; leave out one of them");
-                    return Err(PyValueError::new_err(what));
-                }
                 Some(seeds) => seeds[world],
                 None if own[world] => scene.seed,
                 None => whole_seed(scene.seed + world as u64)?,
@@ -208,7 +185,7 @@ impl Simulation {
 
     /// Steps every world until `seconds` later; the last step ends there exactly.
     ///
-    /// With `progress=True`, what has been reached is shown on stderr. The rest is as for `step`.
+    /// With `progress=True`, what has been reached is shown on stderr. If a world cannot go on, the others do, and what it says is raised then. The rest is as for `step`.
     #[pyo3(signature = (seconds, *, progress=false))]
     fn advance(&self, py: Python<'_>, seconds: f64, progress: bool) -> PyResult<()> {
         if !(seconds >= 0.0 && seconds.is_finite()) {
@@ -216,21 +193,21 @@ impl Simulation {
         }
         let mut machine = self.machine(py)?;
         let machine = &mut *machine;
-        let until: Vec<f64> = (0..machine.len()).map(|world| machine.world(world).time() + seconds).collect();
-        let show = |time: f64, end: &str| -> PyResult<()> {
+        let mut until: Vec<f64> = (0..machine.len()).map(|world| machine.world(world).time() + seconds).collect();
+        let (end, mut failure) = (until[0], None);
+        let show = |time: f64, line: &str| -> PyResult<()> {
             if progress {
                 let stderr = py.import("sys")?.getattr("stderr")?;
-                stderr
-                    .call_method1("write", (format!("\r{}: {time:.3} of {:.3} s{end}", self.scene.name, until[0]),))?;
+                stderr.call_method1("write", (format!("\r{}: {time:.3} of {end:.3} s{line}", self.scene.name),))?;
                 stderr.call_method0("flush")?;
             }
             Ok(())
         };
         loop {
-            let there = py.detach(|| machine.approach(&until)).map_err(|(error, world)| raised(py, error, world))?;
+            let there = py.detach(|| machine.approach(&mut until, &mut failure));
             show(machine.world(0).time(), if there { "\n" } else { "" })?;
             if there {
-                return Ok(());
+                return failure.map_or(Ok(()), |(error, world)| Err(raised(py, error, world)));
             }
             py.check_signals()?;
         }
@@ -288,7 +265,7 @@ impl Simulation {
         self.look(py, world, |one| one.plan().scene.to_toml())?.or_raise(py)
     }
 
-    /// Reads particles, as a `Particles` record of arrays in one order. Only what is asked for is read, and brought from a GPU.
+    /// Reads particles, as a `Particles` record of arrays in one order. In f32 runs only what is asked for is read, and brought from a GPU.
     ///
     /// `fields` are names of what is read besides `position`: "velocity", "affine", "mass", "volume0", "id", "body", "material", "level"; without names, all
     /// but "affine". Others that files of particles have cost reading all of them: "density", "strain", "def_grad", "stress", and "history_LAW_NAME" for what a law remembers. Numbers
@@ -377,7 +354,7 @@ impl Simulation {
     /// Heights of the surface of the soft ground at points, float64 of shape (n,) [m]; `points` has the shape (n, 2) [m].
     ///
     /// The surface is where, seen from above, particles first fill half of space. Where there is no ground, it is the world's floor; NaN if that is open. Tools
-    /// that stay where they are count as ground; others and robots are not seen.
+    /// and robots are not seen.
     #[pyo3(signature = (points, *, world=0))]
     fn height_scan<'py>(&self, py: Python<'py>, points: Numbers<'py>, world: usize) -> PyResult<Bound<'py, PyAny>> {
         let points = points.as_array();
@@ -533,7 +510,7 @@ impl Simulation {
         worlds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let mut machine = self.machine(py)?;
-        let chosen = Self::chosen(worlds, machine.len())?;
+        let chosen = chosen(worlds, machine.len())?;
         let machine = &mut *machine;
         let ask = || {
             let of_world = |&world: &usize| {
@@ -561,7 +538,7 @@ impl Simulation {
         worlds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Bound<'py, PyAny>> {
         let mut machine = self.machine(py)?;
-        let chosen = Self::chosen(worlds, machine.len())?;
+        let chosen = chosen(worlds, machine.len())?;
         let machine = &mut *machine;
         // Moved, as in `look`.
         let ask =
@@ -570,7 +547,7 @@ impl Simulation {
     }
 
     /// Heights of the ground at the points around a robot that its `scan` in the scene gives, below its base: a `HeightScan` record. The points turn with the
-    /// base about the vertical, but stay level.
+    /// base about the vertical, but stay level. Tools that stay where they are count as ground.
     ///
     /// Raises `BodyError` if there is no such robot, or its entry has no `scan`.
     #[pyo3(signature = (robot, *, world=0))]
@@ -604,7 +581,7 @@ impl Simulation {
         worlds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let mut machine = self.machine(py)?;
-        let worlds = Self::chosen(worlds, machine.len())?;
+        let worlds = chosen(worlds, machine.len())?;
         let moves_joints = joint_targets.is_some() || joint_rates.is_some() || joint_torques.is_some();
         if moves_joints == (linear.is_some() || angular.is_some()) {
             let what = "give one command: linear and angular, or joint_targets, joint_rates and joint_torques";
@@ -643,7 +620,7 @@ impl Simulation {
         worlds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let mut machine = self.machine(py)?;
-        let worlds = Self::chosen(worlds, machine.len())?;
+        let worlds = chosen(worlds, machine.len())?;
         let blows = blows(&impulse, angular.as_ref(), worlds.len())?;
         tell(py, machine.len(), worlds, blows, |world, command| machine.world_mut(world).act(body, command))
     }
@@ -667,7 +644,7 @@ impl Simulation {
     ///
     /// Ground stays where it is: what comes to be within it is pushed out. Motors go on to what they were told last, at first to where joints are at the start of the scene.
     ///
-    /// Raises `BodyError` if there is no such body, it cannot be there or move that way, or numbers do not fit.
+    /// Raises `BodyError` if there is no such body, it cannot be there or move that way, or numbers do not fit. Of several worlds, others may have been changed then.
     #[pyo3(signature = (
         body, *, position=None, rotation=None, velocity=None, angular_velocity=None, joints=None, joint_rates=None, worlds=None
     ))]
@@ -685,7 +662,7 @@ impl Simulation {
         worlds: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let mut machine = self.machine(py)?;
-        let worlds = Self::chosen(worlds, machine.len())?;
+        let worlds = chosen(worlds, machine.len())?;
         let given = [position, rotation, velocity, angular_velocity, joints, joint_rates];
         let placements = placements(given, worlds.len())?;
         tell(py, machine.len(), worlds, placements, |world, command| machine.world_mut(world).act(body, command))
@@ -702,7 +679,7 @@ impl Simulation {
         overrides: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<()> {
         let mut machine = self.machine(py)?;
-        let chosen = Self::chosen(worlds, machine.len())?;
+        let chosen = chosen(worlds, machine.len())?;
         let seeds = seeds.map(|seeds| self::seeds(seeds, chosen.len())).transpose()?;
         let overrides = scene::each(overrides, chosen.len())?;
         let (registry, options) = (known(py)?, self.options(py)?.clone());
@@ -737,7 +714,7 @@ impl Simulation {
     #[pyo3(signature = (state, *, worlds=None))]
     fn restore(&self, py: Python<'_>, state: &State, worlds: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let mut machine = self.machine(py)?;
-        let chosen = Self::chosen(worlds, machine.len())?;
+        let chosen = chosen(worlds, machine.len())?;
         let (registry, options, state) = (known(py)?, self.options(py)?.clone(), &state.state);
         let machine = &mut *machine;
         let restore = || match machine {
@@ -760,7 +737,7 @@ impl Simulation {
     fn copy_world(&self, py: Python<'_>, source: usize, targets: &Bound<'_, PyAny>) -> PyResult<()> {
         let mut machine = self.machine(py)?;
         check_world(source, machine.len())?;
-        let targets = Self::chosen(Some(targets), machine.len())?;
+        let targets = chosen(Some(targets), machine.len())?;
         if let Machine::Many(worlds) = &mut *machine {
             py.detach(|| targets.into_iter().try_for_each(|target| worlds.fork(source, target))).or_raise(py)?;
         }

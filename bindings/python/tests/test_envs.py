@@ -207,10 +207,15 @@ def test_an_episode_can_begin_elsewhere_and_its_world_be_read():
     np.testing.assert_array_equal(worlds.observations(), seen)
     worlds.step(worlds.heuristic())
     np.testing.assert_array_equal(worlds.reset(), first)
-    with pytest.raises(barchan.BodyError, match="limits"):
-        worlds.place(name, joints=np.full(12, 9.0))
+    # A world that refuses leaves no other one in an episode that has not begun.
+    worlds.step(worlds.heuristic())
+    with pytest.raises(barchan.BodyError, match="world 1: .*limits"):
+        worlds.place(name, joints=[dog.joint_position - 0.1, np.full(12, 9.0)])
+    assert not worlds.steps_taken.any()
     with pytest.raises(IndexError, match="world 2"):
         worlds.simulation(2)
+    with pytest.raises(ValueError, match="world 1 is there twice"):
+        worlds.reset([0, 1, 1], seeds=[1, 2, 3])
 
 
 def test_a_wrong_seed_leaves_the_environment_as_it_was():
@@ -353,15 +358,15 @@ def test_the_bare_environment():
 def test_a_scene_of_ones_own_is_played(tmp_path):
     scene = tmp_path / "own.toml"
     scene.write_text(OWN)
-    assert barchan.task(str(scene)).name == "QuadrupedWalk"
-    worlds = barchan.Environment(str(scene), seed=3)
+    assert barchan.task(str(scene)).name == barchan.task(scene).name == "QuadrupedWalk"
+    worlds = barchan.Environment(scene, seed=3)
     _, rewards, _, _, _, info = worlds.step(np.zeros((1, 12)))
     assert 4.9 < rewards[0] < 5.0
     # It is pushed on.
     worlds.push("it", [0.0, 40.0, 0.0])
     info = [worlds.step(np.zeros((1, 12)))[5] for _ in range(5)][-1]
     assert info["off the line [m]"][0] > 0.05
-    gym = envs.TaskEnv(str(scene))
+    gym = envs.TaskEnv(scene)
     assert gym.reset(seed=1)[0].shape == (worlds.task.observation_size,)
     gym.worlds.push("it", [0.0, 40.0, 0.0])
     assert barchan.task(str(scene), {"observation": "heights"}).observation_size > worlds.task.observation_size

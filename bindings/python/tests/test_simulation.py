@@ -102,6 +102,8 @@ def test_a_seed_that_is_given_is_that_of_its_world(press):
     assert seeds(overrides=[{"seed": 3}, {}])[0] == 3 and seeds(overrides={"seed": 3}) == [3, 4]
     with pytest.raises(ValueError, match="world 1"):
         seeds(seed=5, overrides=[{}, {"seed": 3}])
+    with pytest.raises(ValueError, match="leave out one"):
+        seeds(seed=5, overrides={"seed": 3})
     with pytest.raises(ValueError, match="3 of them for 2 worlds"):
         seeds(seed=[1, 2, 3])
 
@@ -602,6 +604,11 @@ def test_a_world_that_cannot_go_on_says_which_and_why(press):
     with pytest.raises(barchan.SimulationError, match="^world 1: time step 1.000e-3 s.*above the bound") as caught:
         worlds.step(3)
     assert caught.value.world == 1 and worlds.times[1] == 0.0
+    # The other one goes on as far as it was to go.
+    before = worlds.times[0]
+    with pytest.raises(barchan.SimulationError, match="^world 1: ") as caught:
+        worlds.advance(0.05)
+    np.testing.assert_allclose(worlds.times, [before + 0.05, 0.0], atol=1e-12)
     with pytest.raises(barchan.BodyError, match="nan|NaN|finite"):
         worlds.act("plate", linear=[0, 0, np.nan])
     # What no later step could heal is not even tried.

@@ -4,7 +4,7 @@
 //! [`height_map`] its height in columns. `docs/formats.md` describes the files and how to read them.
 //!
 //! ```
-//! use barchan::export::{Fields, HeightFile, Surface, height_map, particles};
+//! use barchan::export::{Column, Fields, HeightFile, Surface, Values, height_map, particles};
 //! use barchan::scene::Export;
 //! use barchan::{Options, Simulation};
 //!
@@ -12,8 +12,9 @@
 //! let folder = std::env::temp_dir().join(format!("barchan-export-{}", std::process::id()));
 //! std::fs::create_dir_all(&folder).unwrap();
 //! let fields = Fields::new(simulation.plan(), Some(&["velocity".to_owned(), "stress".to_owned()]))?;
-//! let columns = fields.of(simulation.plan(), &simulation.ground())?;
+//! let columns: Vec<Column> = fields.of(simulation.plan(), &simulation.ground())?;
 //! assert_eq!(columns[2].components, 6, "position, velocity, and the six parts of stress");
+//! assert!(matches!(columns[2].values, Values::F32(_)));
 //! particles(&simulation, &fields, folder.join("particles.npz"), Export::Npz)?;
 //! let surface = Surface::new(&simulation.spots(), 0.05)?;
 //! surface.write_ply(folder.join("surface.ply"), &simulation)?;

@@ -109,7 +109,8 @@ impl Robot {
     /// Puts it elsewhere, or lets it move otherwise, as far as `placement` says so.
     ///
     /// # Errors
-    /// If numbers are not finite, do not fit its joints or are beyond their limits, what should move is fixed, or it would be outside the world. Then it stays as it is.
+    /// If numbers are not finite, do not fit its joints or are beyond their limits, what should move is fixed, or it would be outside the world or behind a wall that it meets. Then
+    /// it stays as it is.
     pub(super) fn place(&mut self, placement: &Placement, scene: &Scene) -> Result<(), Refusal> {
         let Placement { position, rotation, velocity, angular_velocity, joints, joint_rates } = placement;
         if self.guided.is_some() {
@@ -118,43 +119,38 @@ impl Robot {
         if !self.floating && [velocity, angular_velocity].iter().any(|given| given.is_some_and(|v| v != [0.0; 3])) {
             return Err(Refusal::new("its base is fixed, and has no velocity", "leave out fixed = true"));
         }
+        let given = |given: &Option<Vec3>, key: &str| given.map(|given| vector(given, key)).transpose();
+        let [position, velocity, angular] = [
+            given(position, "the position")?,
+            given(velocity, "the velocity")?,
+            given(angular_velocity, "the angular velocity")?,
+        ];
+        let rotation = rotation.map(rotation_from).transpose()?;
+        [joints, joint_rates].into_iter().flatten().try_for_each(|numbers| self.check_numbers(numbers))?;
+        self.check_limits(joints.as_deref().unwrap_or_default())?;
+        self.check_walls(position, scene)?;
+
         self.take_over().ok_or_else(lost)?;
-        let (model, first) = (self.model.clone(), self.base_rates());
+        let model = self.model.clone();
         let before = self.step.places[0].twist(&self.step.rates);
         let mut state = State { owed: 0.0, sensed: self.state.sensed.afresh(), ..self.state.clone() };
         // The base's centre of mass, seen from its frame's origin.
         let arm = |turned: DQuat| turned * model.links[0].centre;
-        let linear = before.at(-arm(self.state.base.rotation));
-        if let Some(rotation) = rotation {
-            state.base.rotation = rotation_from(*rotation)?;
-        }
-        if let Some(position) = position {
-            state.base.position = vector(*position, "the position")?;
-        }
-        if let Some(joints) = joints {
-            self.check_numbers(joints)?;
-            // What has been read may be a little beyond, since stops give.
-            let beyond =
-                |(x, drive): &(&f64, &Drive)| !(drive.limits[0] - GIVEN..=drive.limits[1] + GIVEN).contains(*x);
-            if let Some((x, drive)) = joints.iter().zip(&model.drives).find(beyond) {
-                let what = format!("{x} is beyond the limits of joint '{}'", drive.name);
-                let [low, high] = drive.limits;
-                return Err(Refusal::new(what, format!("give a position from {low} to {high}")));
-            }
-            state.positions.clone_from(joints);
+        let linear = velocity.unwrap_or_else(|| before.at(-arm(state.base.rotation)));
+        let angular = angular.unwrap_or(before.angular);
+        state.base.position = position.unwrap_or(state.base.position);
+        state.base.rotation = rotation.unwrap_or(state.base.rotation);
+        let (of_base, of_joints) = state.rates.split_at_mut(self.base_rates());
+        if self.floating {
+            let at_centre = Twist { linear, angular }.at(arm(state.base.rotation));
+            of_base[..3].copy_from_slice(&at_centre.to_array());
+            of_base[3..].copy_from_slice(&angular.to_array());
         }
         if let Some(rates) = joint_rates {
-            self.check_numbers(rates)?;
-            state.rates[first..].copy_from_slice(rates);
+            of_joints.copy_from_slice(rates);
         }
-        if self.floating {
-            let given =
-                |given: &Option<Vec3>, key: &str, kept: DVec3| given.map_or(Ok(kept), |given| vector(given, key));
-            let angular = given(angular_velocity, "the angular velocity", before.angular)?;
-            let linear = given(velocity, "the velocity", linear)?;
-            let at_centre = Twist { linear, angular }.at(arm(state.base.rotation));
-            state.rates[..3].copy_from_slice(&at_centre.to_array());
-            state.rates[3..6].copy_from_slice(&angular.to_array());
+        if let Some(joints) = joints {
+            state.positions.clone_from(joints);
         }
         let orders = self.path.orders(0.0, 0.0);
         let step = Self::at_rest(&model, self.floating, &self.solids, &state, orders)
@@ -164,8 +160,31 @@ impl Robot {
             (self.state, self.step) = kept;
             return Err(Refusal::outside(&scene.world));
         }
-        self.walls = Obstacle::walls(&scene.world, self.state.base.position);
         Ok(())
+    }
+
+    /// Are these positions of its joints within their limits? What has been read may be a little beyond, since stops give.
+    fn check_limits(&self, joints: &[f64]) -> Result<(), Refusal> {
+        let beyond = |(x, drive): &(&f64, &Drive)| !(drive.limits[0] - GIVEN..=drive.limits[1] + GIVEN).contains(*x);
+        match joints.iter().zip(&self.model.drives).find(beyond) {
+            Some((x, drive)) => {
+                let [low, high] = drive.limits;
+                let what = format!("{x} is beyond the limits of joint '{}'", drive.name);
+                Err(Refusal::new(what, format!("give a position from {low} to {high}")))
+            }
+            None => Ok(()),
+        }
+    }
+
+    /// Would its base be on the same sides of the world's walls there as at its start? It meets those alone before which it began.
+    fn check_walls(&self, position: Option<DVec3>, scene: &Scene) -> Result<(), Refusal> {
+        let Some(position) = position else { return Ok(()) };
+        let met = |walls: &[Obstacle]| walls.iter().map(|wall| *wall.bounds()).collect::<Vec<_>>();
+        if met(&Obstacle::walls(&scene.world, position)) == met(&self.walls) {
+            return Ok(());
+        }
+        let what = "its base would be on the other side of a wall of the world than at the start";
+        Err(Refusal::new(what, "start it on that side"))
     }
 }
 

@@ -777,7 +777,7 @@ impl Coupling for Robots {
             let ends =
                 || robot.ends().filter_map(|body| Some((body, robot.model.links[robot.solids[body]].shape.as_ref()?)));
             if robot.is_tool {
-                warnings.extend(ends().filter_map(|(_, shape)| thin(&robot.name, shape, cell_width)));
+                warnings.extend(ends().filter_map(|(_, shape)| thin(&robot.name, shape, cell_width, true)));
                 continue;
             }
             let halves = ends().map(|(body, shape)| (robot.body_name(body), shape.half_thickness()));

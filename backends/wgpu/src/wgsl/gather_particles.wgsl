@@ -12,8 +12,10 @@ fn is_asked_for(layer: u32, least: vec3<i32>, most: vec3<i32>) -> bool {
     let boxes = u32(around[0].x);
     for (var b = 0u; b < boxes; b++) {
         let at = 1u + 2u * (layer * boxes + b);
-        let image = image_near(layer, least, middle_of(around[at].xyz, around[at + 1u].xyz));
-        if all(image + most - least >= around[at].xyz) && all(image <= around[at + 1u].xyz) && around[at].w != 0 {
+        // By how much the image is off whose middle is nearest to that of the box.
+        let start = middle_of(least, most) - vec3<i32>(2);
+        let off = image_near(layer, start, middle_of(around[at].xyz, around[at + 1u].xyz)) - start;
+        if all(most + off >= around[at].xyz) && all(least + off <= around[at + 1u].xyz) && around[at].w != 0 {
             return true;
         }
     }

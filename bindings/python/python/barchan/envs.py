@@ -38,7 +38,7 @@ class _Played:
 
     def __init__(
         self,
-        task_name: str,
+        task_name: str | os.PathLike[str],
         parameters: dict[str, Any],
         *,
         backend: str,
@@ -152,7 +152,7 @@ class TaskEnv(gymnasium.Env):
     Parameters
     ----------
     task
-        Name of the task (`barchan.registry()["tasks"]`).
+        Name of the task (`barchan.registry()["tasks"]`), or path of a scene of one's own (`.toml`) whose `[task]` names one.
     render_mode
         "rgb_array", "human" (a window; needs pygame), or None.
     backend, precision, adapter, threads
@@ -173,7 +173,7 @@ class TaskEnv(gymnasium.Env):
 
     def __init__(
         self,
-        task: str,
+        task: str | os.PathLike[str],
         *,
         render_mode: Literal["rgb_array", "human"] | None = None,
         backend: str = "cpu",
@@ -281,7 +281,7 @@ class TaskVectorEnv(VectorEnv):
 
     def __init__(
         self,
-        task: str,
+        task: str | os.PathLike[str],
         num_envs: int = 1,
         *,
         render_mode: Literal["rgb_array"] | None = None,

@@ -1,7 +1,7 @@
 //! Robots and tools that are put elsewhere while a scene runs.
 
 use super::root;
-use barchan::{BodyState, Command, Options, Placement, Precision, Scene, Simulation};
+use barchan::{BodyState, Command, Options, Placement, Precision, Scene, Simulation, State};
 use barchan_tests::scenes::everywhere;
 use glam::DVec3;
 
@@ -40,6 +40,10 @@ motor = [{{ kp = 100, kd = 3 }}]
 
 fn start(scene: &Scene, options: &Options) -> Simulation {
     Simulation::new(&barchan::registry(), scene, options).unwrap()
+}
+
+fn resumed(state: &State, options: &Options) -> Simulation {
+    Simulation::from_state(&barchan::registry(), state, options).unwrap()
 }
 
 fn steps(simulation: &mut Simulation, count: usize) {
@@ -143,9 +147,10 @@ motor = [{ kp = 9, kd = 1 }]
         ("dog", joints(vec![9.0; 12]), "beyond the limits of joint"),
         ("dog", joints(vec![f64::NAN; 12]), "is NaN"),
         ("dog", at(f64::NAN), "the position is"),
-        ("dog", at(50.0), "robot 'dog': it would be outside the world"),
+        ("dog", at(50.0), "robot 'dog': its base would be on the other side of a wall"),
+        ("arm", at(-0.5), "robot 'arm': its base would be on the other side of a wall"),
         ("dog", Placement { rotation: Some([0.0; 4]), ..Placement::default() }, "is no quaternion"),
-        ("ball", at(-9.0), "tool 'ball': it would be outside the world"),
+        ("ball", at(-9.0), "tool 'ball': its base would be on the other side of a wall"),
         ("ball", joints(vec![0.0]), "joints"),
         ("blade", velocity(1.0), "give it a twist"),
         ("post", at(1.0), "tool 'post': it stays"),
@@ -155,5 +160,14 @@ motor = [{ kp = 9, kd = 1 }]
         assert!(error.contains(expected), "{name}: {error}");
         assert_eq!(format!("{:?}", world.bodies()), before, "{name}");
     }
+    // A state that was taken before goes on as if nothing had been put elsewhere.
+    let (state, mut twin) = (world.state().unwrap(), world.state().map(|state| resumed(&state, &options)).unwrap());
+    place(&mut world, "dog", joints([0.0, 0.9, -1.2].repeat(4))).unwrap();
+    place(&mut world, "arm", at(1.0)).unwrap();
     steps(&mut world, 5);
+    world.set_state(&state).unwrap();
+    for simulation in [&mut world, &mut twin] {
+        steps(simulation, 10);
+    }
+    assert_eq!(format!("{:?}", world.bodies()), format!("{:?}", twin.bodies()));
 }

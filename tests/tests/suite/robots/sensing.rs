@@ -353,31 +353,39 @@ fn motors_take_rates_and_torques_besides_targets() {
     }
 }
 
-/// A scan sees hard ground: the top of fixed tools, whatever they are, where they stand above the soft ground. What moves it does not see.
+/// A scan sees hard ground: the top of fixed tools, whatever they are, where they stand above the soft ground, also beside their upright faces and beyond a periodic side. What
+/// moves it does not see, nor what is not there.
 #[test]
 fn scans_see_tools_that_stay() {
-    let tool = |shape: &str, at: [f64; 3], motion: &str| {
-        format!("[[tool]]\nname = \"t{}\"\nposition = {at:?}\nshape = {shape}\n{motion}\n", (100.0 * at[0]).round())
+    let tool = |name: &str, shape: &str, at: [f64; 3], more: &str| {
+        format!("[[tool]]\nname = \"{name}\"\nposition = {at:?}\nshape = {shape}\n{more}\n")
     };
     let cube = "{ box = { half = [0.09, 0.09, 0.1] } }";
     let parts = [
-        tool(cube, [0.3, 0.5, 0.2], ""),
-        tool("{ sphere = { radius = 0.09 } }", [0.7, 0.5, 0.21], ""),
-        tool(cube, [0.5, 0.5, 0.4], "motion = { velocity = {} }"),
-        tool("{ plane = { normal = [0, 0, 1] } }", [0.0, 0.0, 0.05], ""),
+        tool("cube", cube, [0.3, 0.5, 0.2], ""),
+        tool("ball", "{ sphere = { radius = 0.09 } }", [0.7, 0.5, 0.21], ""),
+        tool("driven", cube, [0.5, 0.5, 0.4], "motion = { velocity = {} }"),
+        tool("late", cube, [0.5, 0.8, 0.4], "from = 0.5"),
+        tool("slope", "{ plane = { normal = [0.1, 0, 1] } }", [0.0, 0.0, 0.15], ""),
     ];
-    let text = format!(
-        "name = \"hard\"\nworld = {{ cell = 0.02, min = [0, 0, 0], max = [1, 1, 1.2] }}\ntime = {{ end = 1 }}\n[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nposition = [0.5, 0.5, 1.0]\nscan = {{ min = [-0.2, 0], max = [0.2, 0.3], points = [5, 2] }}\n{}",
-        parts.concat()
-    );
-    let scene = Scene::from_str(&text, "hard.toml", root()).unwrap();
-    let heights = simulation(&scene, Precision::F64).scan("dog").unwrap().heights;
-    let expected = [0.3, 0.05, 0.05, 0.05, 0.3, 0.05, 0.05, 0.05, 0.05, 0.05];
-    println!("{heights:?}");
-    for (i, (height, expected)) in heights.iter().zip(expected).enumerate() {
-        let height = height.unwrap() + 1.0;
-        // Edges of the box are round, and its face is a cell away from them.
-        assert!((height - expected).abs() < 1e-4, "point {i}: {height} m, {expected} m");
+    let scan = |x: f64| {
+        let text = format!(
+            "name = \"hard\"\nworld = {{ cell = 0.02, min = [0, 0, 0], max = [0.96, 1, 1.2], walls = {{ x_min = \"periodic\", x_max = \"periodic\" }} }}\ntime = {{ end = 1 }}\n[[robot]]\nname = \"dog\"\nmodel = \"quadruped\"\nposition = [{x}, 0.5, 1.0]\nscan = {{ min = [-0.2, 0], max = [0.2, 0.3], points = [5, 2] }}\n{}",
+            parts.concat()
+        );
+        let scene = Scene::from_str(&text, "hard.toml", root()).unwrap();
+        simulation(&scene, Precision::F64).scan("dog").unwrap().heights
+    };
+    let slope = |x: f64| 0.15 - 0.1 * x;
+    let expected: Vec<f64> = [0.3, slope(0.4), slope(0.5), slope(0.6), 0.3]
+        .into_iter()
+        .chain([0.3, 0.4, 0.5, 0.6, 0.7].map(slope))
+        .collect();
+    for x in [0.5, 0.5 + 0.96] {
+        for (i, (height, expected)) in scan(x).iter().zip(&expected).enumerate() {
+            let height = height.unwrap() + 1.0;
+            assert!((height - expected).abs() < 1e-4, "point {i}: {height} m, {expected} m");
+        }
     }
 }
 
