@@ -17,7 +17,7 @@ pub fn gather_block(
     mut taken: impl FnMut(usize, [i32; 3], u32),
 ) {
     let h = batch.cell_width;
-    let boxes: Vec<Aabb> = boxes_near_block(boxes, first, h, 0.0, periods).collect();
+    let boxes = boxes_near_block(boxes, first, h, 0.0, periods);
     if boxes.is_empty() {
         return;
     }
@@ -78,26 +78,23 @@ impl<'a> Cubes<'a> {
 
 /// Does any box, or image of one along periodic axes, come within so much [m] of nodes of a block, see [`boxes_near_block`]?
 pub fn is_near_block(boxes: &[Aabb], first: [i32; 3], h: f64, within: f64, periods: [i32; 3]) -> bool {
-    // All blocks of a grid are asked about.
+    let near = nodes_of_block(first, h).grown(within);
+    // All blocks of a grid are asked about, and most worlds are not periodic.
     if periods == [0; 3] {
-        let near = nodes_of_block(first, h).grown(within);
         return boxes.iter().any(|one| one.meets(&near));
     }
-    boxes_near_block(boxes, first, h, within, periods).next().is_some()
+    boxes.iter().flat_map(|one| images(one, first, h, within, periods)).any(|one| one.meets(&near))
 }
 
 /// The boxes, or images of them along periodic axes, that come within so much [m] of nodes of the block with that first cell, of cells that wide [m]. `periods` are the
 /// world's cells along each axis, 0 for one that is not periodic.
-pub fn boxes_near_block(
-    boxes: &[Aabb],
-    first: [i32; 3],
-    h: f64,
-    within: f64,
-    periods: [i32; 3],
-) -> impl Iterator<Item = Aabb> {
+pub fn boxes_near_block(boxes: &[Aabb], first: [i32; 3], h: f64, within: f64, periods: [i32; 3]) -> Vec<Aabb> {
     let near = nodes_of_block(first, h).grown(within);
-    let images = boxes.iter().flat_map(move |one| images(one, first, h, within, periods));
-    images.filter(move |one| one.meets(&near))
+    if periods == [0; 3] {
+        return boxes.iter().filter(|one| one.meets(&near)).copied().collect();
+    }
+    let images = boxes.iter().flat_map(|one| images(one, first, h, within, periods));
+    images.filter(|one| one.meets(&near)).collect()
 }
 
 /// From the first of a block's nodes to the last.
@@ -159,8 +156,8 @@ mod tests {
         let far = [Aabb { min: [6.2, 0.2, 0.2], max: [6.3, 0.3, 0.3] }];
         let near = |boxes: &[Aabb], first: i32, period: i32| -> Vec<f64> {
             let periods = [period, 0, 0];
-            let found: Vec<f64> =
-                boxes_near_block(boxes, [first, 0, 0], 0.5, 0.0, periods).map(|one| one.min[0]).collect();
+            let found = boxes_near_block(boxes, [first, 0, 0], 0.5, 0.0, periods);
+            let found: Vec<f64> = found.iter().map(|one| one.min[0]).collect();
             assert_eq!(is_near_block(boxes, [first, 0, 0], 0.5, 0.0, periods), !found.is_empty());
             found
         };

@@ -39,7 +39,9 @@ pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatc
     };
     let (rounding, of_cell) = (1e-6 * cell, cell.powi(3));
     let middle = std::array::from_fn(|d| 0.5 * (bounds.min[d] + bounds.max[d]));
-    let beside = |x: Vec3| nodes.image_near(x, middle);
+    // Asked for every node and particle of every body.
+    let has_images = nodes.periods != [0.0; 3];
+    let beside = |x: Vec3| if has_images { nodes.image_near(x, middle) } else { x };
     let press_of = |particle: &NearParticle| {
         let at = beside(particle.position);
         // Few are wider than a cell.

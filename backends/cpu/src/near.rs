@@ -70,8 +70,7 @@ impl<T: Scalar> Level<T> {
         let mut found = std::mem::take(&mut self.near);
         found.resize_with(found.len().max(blocks.len()), Near::default);
         let of_block = |(&b, found): (&usize, &mut Near)| {
-            let boxes: Vec<Aabb> = boxes_near_block(boxes, first(b), h, 1.5 * h, periods).collect();
-            self.near_particles(b, &boxes, moduli, found);
+            self.near_particles(b, &boxes_near_block(boxes, first(b), h, 1.5 * h, periods), moduli, found);
         };
         blocks.par_iter().zip(&mut found).for_each(of_block);
         for Near { cubes, particles } in &found[..blocks.len()] {
