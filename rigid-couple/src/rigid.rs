@@ -566,12 +566,10 @@ impl Coupling for Rigid {
 
     fn contact_distance(&self, body: usize, points: &[Vec3]) -> Vec<f64> {
         let Body { shape, state, .. } = &self.bodies[body];
-        let turn = state.pose.rotation.conjugate();
-        let to = |x: &Vec3| {
-            let local = turn * (DVec3::from_array(*x) - state.pose.position);
-            shape.contact_surface(local, self.scene.world.cell).0.distance
-        };
-        points.iter().map(|x| if state.present { to(x) } else { f64::INFINITY }).collect()
+        if !state.present {
+            return vec![f64::INFINITY; points.len()];
+        }
+        sdf::contact_distances(shape, &state.pose, self.scene.world.cell, points)
     }
 
     fn surfaces(&self) -> Vec<Surface> {

@@ -437,6 +437,13 @@ impl Sdf {
     }
 }
 
+/// Distance of each point to a shape at a pose [m], as contact on cells of width `cell` [m] sees it.
+pub(crate) fn contact_distances(shape: &Sdf, pose: &Pose, cell: f64, points: &[Vec3]) -> Vec<f64> {
+    let to_body = pose.rotation.conjugate();
+    let distance = |x: &Vec3| shape.contact_surface(to_body * (DVec3::from_array(*x) - pose.position), cell).0.distance;
+    points.iter().map(distance).collect()
+}
+
 /// Distance of each point to the nearest of some shapes, each at a pose [m]; infinite if there is none.
 pub(crate) fn distances(shapes: &[(&Sdf, Pose)], points: &[Vec3]) -> Vec<f64> {
     let nearest = |x: &Vec3| {

@@ -127,8 +127,8 @@ pub(crate) fn of_body<'a>(
     Runout { along, mixes, reaches: Some(reaches.intersection(&scene.world_box())) }
 }
 
-/// Does anything in a scene stir a fluid that walls hold: what flows in or out, flies or flows apart, a tool that moves, a robot, gravity that is not along z? One that nothing stirs stays in balance to rounding
-/// on a lattice, and only there.
+/// Does anything in a scene stir a fluid that walls hold: what flows in or out, flies or flows apart, a tool that moves, a robot, gravity that is not along z? One that nothing
+/// stirs stays in balance to rounding on a lattice, and only there.
 pub(crate) fn is_stirred(scene: &Scene, runouts: &[Runout]) -> bool {
     let flows = !scene.inflow.is_empty() || !scene.outflow.is_empty();
     let moves = !scene.robot.is_empty() || scene.tool.iter().any(|tool| !matches!(tool.motion, Motion::Fixed));

@@ -258,10 +258,9 @@ impl Simulation {
     }
 
     /// Heights of soft ground at points [m], or of tools that stay where they are, by their surfaces as contact has them, where these are higher.
-    pub(crate) fn with_hard_ground(&self, points: &[[f64; 2]], heights: Vec<Option<f64>>) -> Vec<Option<f64>> {
+    pub(crate) fn with_hard_ground(&self, points: &[[f64; 2]], mut heights: Vec<Option<f64>>) -> Vec<Option<f64>> {
         let world = &self.plan().scene.world;
         let points: Vec<[f64; 2]> = points.iter().map(|point| world.inside(*point)).collect();
-        let mut heights = heights;
         for coupling in self.couplings() {
             let staying = coupling.bounds().into_iter().enumerate().filter(|(body, _)| coupling.stays(*body));
             for (body, bounds) in staying {

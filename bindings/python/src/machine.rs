@@ -54,7 +54,7 @@ pub(crate) type Failure = (Error, Option<usize>);
 
 impl Machine {
     /// What the plans of its worlds warn of.
-    pub(crate) fn warnings(&mut self) -> Vec<String> {
+    pub(crate) fn warnings(&self) -> Vec<String> {
         (0..self.len()).flat_map(|world| self.world(world).plan().warnings.clone()).collect()
     }
 

@@ -140,7 +140,7 @@ impl Simulation {
         };
         let registry = known(py)?;
         let scene = scenes[0].clone();
-        let mut machine = py.detach(|| Machine::new(&registry, scenes, &options)).or_raise(py)?;
+        let machine = py.detach(|| Machine::new(&registry, scenes, &options)).or_raise(py)?;
         warn(py, machine.warnings().iter().filter(|_| !is_known))?;
         Ok(Self { machine: Shared::new(machine), scene, options: Mutex::new(options) })
     }

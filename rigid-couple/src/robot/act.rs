@@ -127,7 +127,9 @@ impl Robot {
         ];
         let rotation = rotation.map(rotation_from).transpose()?;
         [joints, joint_rates].into_iter().flatten().try_for_each(|numbers| self.check_numbers(numbers))?;
-        self.check_limits(joints.as_deref().unwrap_or_default())?;
+        // What has been read may be a little beyond, since stops give.
+        let positions = joints.iter().flatten().zip(&self.model.drives);
+        positions.into_iter().try_for_each(|(x, drive)| drive.check_position(*x, GIVEN))?;
         self.check_walls(position, scene)?;
 
         self.take_over().ok_or_else(lost)?;
@@ -161,19 +163,6 @@ impl Robot {
             return Err(Refusal::outside(&scene.world));
         }
         Ok(())
-    }
-
-    /// Are these positions of its joints within their limits? What has been read may be a little beyond, since stops give.
-    fn check_limits(&self, joints: &[f64]) -> Result<(), Refusal> {
-        let beyond = |(x, drive): &(&f64, &Drive)| !(drive.limits[0] - GIVEN..=drive.limits[1] + GIVEN).contains(*x);
-        match joints.iter().zip(&self.model.drives).find(beyond) {
-            Some((x, drive)) => {
-                let [low, high] = drive.limits;
-                let what = format!("{x} is beyond the limits of joint '{}'", drive.name);
-                Err(Refusal::new(what, format!("give a position from {low} to {high}")))
-            }
-            None => Ok(()),
-        }
     }
 
     /// Would its base be on the same sides of the world's walls there as at its start? It meets those alone before which it began.

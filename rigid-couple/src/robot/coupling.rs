@@ -717,14 +717,10 @@ impl Coupling for Robots {
     fn contact_distance(&self, body: usize, points: &[Vec3]) -> Vec<f64> {
         let (number, body) = self.of(body);
         let robot = &self.robots[number];
-        let pose = robot.pose(body);
-        let turn = pose.rotation.conjugate();
-        let to = |shape: &Sdf, x: Vec3| {
-            let local = turn * (DVec3::from_array(x) - pose.position);
-            shape.contact_surface(local, self.scene.world.cell).0.distance
-        };
-        let shape = robot.model.links[robot.solids[body]].shape.as_ref();
-        points.iter().map(|&x| shape.map_or(f64::INFINITY, |shape| to(shape, x))).collect()
+        match &robot.model.links[robot.solids[body]].shape {
+            Some(shape) => sdf::contact_distances(shape, &robot.pose(body), self.scene.world.cell, points),
+            None => vec![f64::INFINITY; points.len()],
+        }
     }
 
     fn surfaces(&self) -> Vec<Surface> {

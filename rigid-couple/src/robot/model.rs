@@ -90,6 +90,21 @@ pub struct Drive {
     pub armature: f64,
 }
 
+impl Drive {
+    /// Is a position within its limits, or no further than `slack` beyond them [rad or m]?
+    ///
+    /// # Errors
+    /// If it is not.
+    pub(super) fn check_position(&self, position: f64, slack: f64) -> Result<(), Refusal> {
+        let [low, high] = self.limits;
+        if (low - slack..=high + slack).contains(&position) {
+            return Ok(());
+        }
+        let what = format!("{position} is beyond the limits of joint '{}'", self.name);
+        Err(Refusal::new(what, format!("give a position from {low} to {high}")))
+    }
+}
+
 /// A robot's tree. A parent stands before its links.
 #[derive(Clone, Debug)]
 pub struct RobotModel {

@@ -58,13 +58,7 @@ pub fn set(given: &BTreeMap<String, f64>, drives: &[Drive], positions: &mut [f64
                     "give its name, or patterns that do not fit it both",
                 ));
             }
-            if !(drive.limits[0]..=drive.limits[1]).contains(&value) {
-                let [low, high] = drive.limits;
-                return Err(Refusal::new(
-                    format!("{value} is beyond the limits of joint '{}'", drive.name),
-                    format!("give a position from {low} to {high}"),
-                ));
-            }
+            drive.check_position(value, 0.0)?;
             *position = value;
         }
         if !any {

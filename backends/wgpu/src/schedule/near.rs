@@ -1,6 +1,7 @@
 //! What is near bodies whose law runs on the host: blocks of nodes with their particles, and the law on them.
 
 use crate::device::kernel::Role;
+use crate::device::layout::Periods;
 use crate::device::memory::NEAR_BLOCK;
 use crate::schedule::submission::Behind;
 use crate::worlds::world::{Level, World};
@@ -143,8 +144,7 @@ pub(crate) struct Met {
     /// Numbers of its blocks of nodes.
     blocks: Range<usize>,
     layer: u32,
-    /// The world's cells along periodic axes, 0 along others.
-    periods: [i32; 3],
+    periods: Periods,
 }
 
 /// A world's nodes and particles near its bodies.
@@ -166,7 +166,7 @@ impl Near {
             h: level.h,
             blocks: level.node_blocks.clone(),
             layer: layer as u32,
-            periods: level.periods.count.map(|blocks| blocks * SIDE),
+            periods: level.periods,
         };
         Self {
             blocks: Vec::new(),
@@ -206,14 +206,13 @@ impl Near {
     /// Hands over a level's nodes in some boxes, and the particles there, and takes back the nodes' velocities.
     fn apply(&mut self, level: usize, boxes: &[Aabb], wants_particles: bool, act: &mut Act<'_>) -> Result<f64> {
         let Met { h, blocks: ref own, layer, periods } = self.levels[level];
+        // Along periodic axes a block has many places.
+        let home = |first: [i32; 3]| periods.wrap(first.map(|cell| cell / SIDE));
+        let periods = periods.count.map(|blocks| blocks * SIDE);
         let lengths = periods.map(|cells| f64::from(cells) * h);
         let mut batch = NodeBatch { cell_width: h, periods: lengths, ..NodeBatch::default() };
         let mut places = Vec::new();
-        // Along periodic axes a block has many places.
-        let wrapped = |first: [i32; 3]| -> [i32; 3] {
-            std::array::from_fn(|d| if periods[d] > 0 { first[d].rem_euclid(periods[d]) } else { first[d] })
-        };
-        // The number in the batch of each node of the blocks that have any.
+        // The number in the batch of each node of the blocks, by where these are.
         let mut numbers: FxHashMap<[i32; 3], [u32; CELLS]> = FxHashMap::default();
         for (b, block) in self.blocks.iter().enumerate().filter(|(_, block)| own.contains(&(block.number as usize))) {
             let node = |n: usize| {
@@ -225,7 +224,7 @@ impl Near {
                 own[n] = number;
                 places.push((b, n));
             });
-            numbers.insert(wrapped(block.first), own);
+            numbers.insert(home(block.first), own);
         }
         if batch.is_empty() {
             return Ok(0.0);
@@ -242,9 +241,7 @@ impl Near {
                 }
                 let beside = |n: usize| {
                     let offset = block::offset(n);
-                    numbers
-                        .get(&wrapped(std::array::from_fn(|d| first[d] + SIDE * offset[d])))
-                        .unwrap_or(&Cubes::ABSENT)
+                    numbers.get(&home(std::array::from_fn(|d| first[d] + SIDE * offset[d]))).unwrap_or(&Cubes::ABSENT)
                 };
                 let mut around = Cubes::of(std::array::from_fn(beside));
                 for particle in of_block {
