@@ -83,8 +83,17 @@ impl TriangleMesh {
             let mend = "give a positive factor; a negative one would turn the mesh inside out";
             return Err(Refusal::new(format!("the mesh's scale is {scale}"), mend));
         }
-        let corners = corners_of(file)?;
-        Self::new(corners.into_iter().map(|t| t.map(|x| x * scale)))
+        Self::of_file(file, DVec3::splat(scale))
+    }
+
+    /// The same with a scale for each axis. A mesh that it mirrors is turned so that its triangles face outwards again.
+    pub(crate) fn of_file(file: &Path, scale: DVec3) -> Result<Self, Refusal> {
+        let mirrored = scale.x * scale.y * scale.z < 0.0;
+        let corners = corners_of(file)?.into_iter().map(|corners| {
+            let [a, b, c] = corners.map(|x| x * scale);
+            if mirrored { [a, c, b] } else { [a, b, c] }
+        });
+        Self::new(corners)
             .map_err(|refusal| Refusal { what: format!("{}: {}", file.display(), refusal.what), ..refusal })
     }
 

@@ -35,7 +35,7 @@ pub use plane::PlaneStrain;
 pub use probe::{Probe, Region, Section, Side, SurfaceProbe, WallPart};
 pub use read::Source;
 pub(crate) use read::{nearest, parse_value};
-pub use robot::{Balance, Gait, JointFrame, JointMotion, Lean, LinkPath, Motor, Robot, Scan};
+pub use robot::{Balance, CollisionMeshes, Gait, JointFrame, JointMotion, Lean, LinkPath, Motor, Robot, Scan};
 pub use terrain::{Heights, Surface, Terrain};
 pub use zone::{Within, Zone, ZonePicture};
 

@@ -25,6 +25,9 @@ pub(crate) struct CheckArgs {
     /// Mend inertias that no body has, as `mend_inertias` does in a scene, instead of refusing them.
     #[arg(long)]
     mend_inertias: bool,
+    /// Take collision meshes as they are, as `collision_meshes = "exact"` does in a scene, instead of their convex hulls.
+    #[arg(long)]
+    exact_meshes: bool,
 }
 
 pub(crate) fn run(command: &Robot) -> Result<()> {
@@ -35,6 +38,9 @@ pub(crate) fn run(command: &Robot) -> Result<()> {
         false => barchan::scene::Robot::built_in("robot", args.robot.as_str()),
     };
     robot.mend_inertias = args.mend_inertias;
+    if args.exact_meshes {
+        robot.collision_meshes = barchan::scene::CollisionMeshes::Exact;
+    }
     let model = RobotModel::of(&robot, std::path::Path::new(""))
         .map_err(|refusal| -> Error { refusal.at(&format!("robot '{}'", args.robot)) })?;
     show(&model);

@@ -13,7 +13,7 @@ use crate::motion::Pose;
 use crate::rigid::body::{self, Guided};
 use crate::surface::mesh_of;
 use crate::world::friction_of;
-use barchan_core::scene::{Motion, Tool};
+use barchan_core::scene::{CollisionMeshes, Motion, Tool};
 use barchan_core::{Result, Scene};
 use glam::{DMat3, DVec3};
 use std::path::Path;
@@ -83,7 +83,14 @@ impl Robot {
         let solids = vec![links.len() - 1];
         let positions = vec![0.0; drives.len()];
         let gains = vec![Gains::default(); drives.len()];
-        let model = RobotModel { name: tool.name.clone(), links, drives, files: Vec::new(), warnings: Vec::new() };
+        let model = RobotModel {
+            name: tool.name.clone(),
+            collision_meshes: CollisionMeshes::Exact,
+            links,
+            drives,
+            files: Vec::new(),
+            warnings: Vec::new(),
+        };
         let motion = JointPath::new(None, &model, &pose, &positions, Path::new("")).map_err(still)?;
         let floating = guided.is_none();
         let mut rates = vec![0.0; rates_of(&model, floating)];

@@ -4,7 +4,7 @@ use super::urdf::Source;
 use super::visual::Visual;
 use crate::motion::Pose;
 use crate::{Refusal, Sdf};
-use barchan_core::scene;
+use barchan_core::scene::{self, CollisionMeshes};
 use glam::{DMat3, DVec3};
 use std::path::{Path, PathBuf};
 
@@ -110,6 +110,8 @@ impl Drive {
 pub struct RobotModel {
     /// Name in the URDF.
     pub name: String,
+    /// What its collision meshes stand for.
+    pub collision_meshes: CollisionMeshes,
     /// Links, the base first.
     pub links: Vec<Link>,
     /// Joint positions that can be driven, in the order of their joints in the tree.
@@ -176,6 +178,12 @@ impl RobotModel {
         };
         let name = file.display().to_string();
         let folder = file.parent().unwrap_or(folder);
-        Self::read(&Source { text: &text, file: &name, folder, mends: robot.mend_inertias })
+        Self::read(&Source {
+            text: &text,
+            file: &name,
+            folder,
+            mends: robot.mend_inertias,
+            meshes: robot.collision_meshes,
+        })
     }
 }

@@ -2,6 +2,7 @@
 
 use super::model::{Freedom, RobotModel};
 use crate::sdf::Primitive;
+use barchan_core::scene::CollisionMeshes;
 use std::fmt;
 
 impl fmt::Display for RobotModel {
@@ -25,8 +26,12 @@ impl fmt::Display for RobotModel {
                 }
                 _ => link.joint.name.clone(),
             };
-            let shapes: Vec<&str> =
-                link.shape.iter().flat_map(|shape| shape.parts()).map(|p| name(&p.primitive)).collect();
+            let shapes: Vec<&str> = link
+                .shape
+                .iter()
+                .flat_map(|shape| shape.parts())
+                .map(|p| name(&p.primitive, self.collision_meshes))
+                .collect();
             writeln!(f, "{:<26} {:>9.4}  {joint:<24} {}", link.name, link.mass, shapes.join(", "))?;
         }
         writeln!(
@@ -52,7 +57,7 @@ impl fmt::Display for RobotModel {
     }
 }
 
-fn name(primitive: &Primitive) -> &'static str {
+fn name(primitive: &Primitive, meshes: CollisionMeshes) -> &'static str {
     match primitive {
         Primitive::Sphere { .. } => "sphere",
         Primitive::Box { .. } => "box",
@@ -60,6 +65,7 @@ fn name(primitive: &Primitive) -> &'static str {
         Primitive::Capsule { .. } => "capsule",
         Primitive::Plane => "plane",
         Primitive::HeightField(_) => "height field",
-        Primitive::Mesh(_) => "mesh (hull)",
+        Primitive::Mesh(_) if meshes == CollisionMeshes::Hull => "mesh (hull)",
+        Primitive::Mesh(_) => "mesh",
     }
 }

@@ -6,11 +6,12 @@
 use super::model::{Drive, Freedom, Joint, Link, RobotModel};
 use super::visual::Visual;
 use crate::Refusal;
-use crate::mass::outer;
-use crate::mesh::{DistanceGrid, hull_of};
+use crate::mass::{Filling, outer};
+use crate::mesh::{DistanceGrid, TriangleMesh, hull_of};
 use crate::motion::Pose;
 use crate::sdf::{MeshPart, Part, Primitive, Sdf};
 use crate::surface::mesh_of;
+use barchan_core::scene::CollisionMeshes;
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix3, SymmetricEigen};
 use roxmltree::{Document, Node};
@@ -22,6 +23,8 @@ use std::sync::Arc;
 pub const ARMATURE: f64 = 0.01;
 /// What principal moments of inertia may lack to be those of a body, as a share of the greatest: files round them.
 const ROUNDING: f64 = 0.02;
+/// A hull that holds so many times what its mesh does fills hollows that ground may be meant to get into.
+const HOLLOW: f64 = 1.5;
 
 /// Where a robot comes from, and what may be mended.
 #[derive(Clone, Copy, Debug)]
@@ -34,6 +37,8 @@ pub struct Source<'a> {
     pub folder: &'a Path,
     /// Make inertias that no body has those of the nearest one instead of refusing them.
     pub mends: bool,
+    /// What collision meshes stand for.
+    pub meshes: CollisionMeshes,
 }
 
 impl RobotModel {
@@ -48,7 +53,7 @@ impl RobotModel {
                 "give a URDF file; xacro files are to be expanded first",
             )
         })?;
-        Reader { source, document: &document, warnings: Vec::new() }.model()
+        Reader { source, document: &document, warnings: Vec::new(), hollow: Vec::new() }.model()
     }
 }
 
@@ -56,6 +61,8 @@ pub(super) struct Reader<'a> {
     source: &'a Source<'a>,
     pub(super) document: &'a Document<'a>,
     pub(super) warnings: Vec<String>,
+    /// Links whose hulls hold much more than their meshes.
+    hollow: Vec<String>,
 }
 
 pub(super) type Xml<'a> = Node<'a, 'a>;
@@ -124,8 +131,10 @@ impl<'a> Reader<'a> {
         };
         let files = root.descendants().filter(touches).map(|mesh| self.mesh_file(mesh)).collect::<Result<_, _>>()?;
         self.check_inertias(&mut tree, &links)?;
+        self.warn_of_hollow();
         let model = RobotModel {
             name: root.attribute("name").unwrap_or("robot").to_owned(),
+            collision_meshes: self.source.meshes,
             links: tree.links,
             drives: tree.drives,
             files,
@@ -391,6 +400,7 @@ impl<'a> Reader<'a> {
         for collision in node.children().filter(|child| child.has_tag_name("collision")) {
             let place = self.origin(collision)?;
             self.shape(collision, &place, &mut parts)?;
+            self.note_hollow(name, collision, parts.last())?;
         }
         link.shape = (!parts.is_empty()).then(|| Sdf::new(parts).seen_from(link.centre));
         link.visuals = self.visuals(node);
@@ -446,6 +456,39 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
+    /// Notes a hull, the last of a link's shapes, that holds much more than its mesh.
+    fn note_hollow(&mut self, link: &str, collision: Xml<'a>, last: Option<&Part>) -> Result<(), Refusal> {
+        let (CollisionMeshes::Hull, Some(Primitive::Mesh(hull))) =
+            (self.source.meshes, last.map(|part| &part.primitive))
+        else {
+            return Ok(());
+        };
+        let kind = self.child(self.child(collision, "geometry")?, "mesh")?;
+        let (file, scale) = (self.mesh_file(kind)?, self.mesh_scale(kind)?);
+        // What a mesh with holes holds, nobody can tell.
+        let Ok(mesh) = TriangleMesh::of_file(&file, scale) else { return Ok(()) };
+        let [more, own] = [&hull.mesh, &mesh].map(|mesh| Filling::of_mesh(mesh).volume);
+        if more > HOLLOW * own {
+            let file = file.file_name().unwrap_or_default().display();
+            self.hollow.push(format!("'{link}' ({file}, {:.1} times)", more / own));
+        }
+        Ok(())
+    }
+
+    fn warn_of_hollow(&mut self) {
+        if !self.hollow.is_empty() {
+            self.warnings.push(format!(
+                "convex hulls stand for collision meshes and hold much more than these, so that nothing gets into their hollows: {}; if that matters, set collision_meshes = \"exact\"",
+                self.hollow.join(", ")
+            ));
+        }
+    }
+
+    /// What takes a mesh's unit to metres, along each axis.
+    pub(super) fn mesh_scale(&self, mesh: Xml<'a>) -> Result<DVec3, Refusal> {
+        Ok(self.numbers::<3>(mesh, "scale")?.map_or(DVec3::ONE, DVec3::from_array))
+    }
+
     pub(super) fn shape(&self, collision: Xml<'a>, place: &Pose, parts: &mut Vec<Part>) -> Result<(), Refusal> {
         let geometry = self.child(collision, "geometry")?;
         let Some(kind) = geometry.children().find(Node::is_element) else {
@@ -472,11 +515,14 @@ impl<'a> Reader<'a> {
             "cylinder" => Primitive::Cylinder { radius: length("radius")?, half_height: 0.5 * length("length")? },
             "capsule" => Primitive::Capsule { radius: length("radius")?, half_height: 0.5 * length("length")? },
             "mesh" => {
-                let file = self.mesh_file(kind)?;
-                let scale = self.numbers::<3>(kind, "scale")?.map_or(DVec3::ONE, DVec3::from_array);
-                let hull = hull_of(&file, scale).map_err(|refusal| self.fault(kind, &refusal.what, &refusal.mend))?;
-                let grid = DistanceGrid::sample(&hull);
-                Primitive::Mesh(Arc::new(MeshPart { mesh: hull, grid }))
+                let (file, scale) = (self.mesh_file(kind)?, self.mesh_scale(kind)?);
+                let mesh = match self.source.meshes {
+                    CollisionMeshes::Hull => hull_of(&file, scale),
+                    CollisionMeshes::Exact => TriangleMesh::of_file(&file, scale),
+                };
+                let mesh = mesh.map_err(|refusal| self.fault(kind, &refusal.what, &refusal.mend))?;
+                let grid = DistanceGrid::sample(&mesh);
+                Primitive::Mesh(Arc::new(MeshPart { mesh, grid }))
             }
             other => {
                 let mend = "use box, sphere, cylinder, capsule or mesh";
@@ -624,7 +670,7 @@ impl Link {
 
 #[cfg(test)]
 mod tests {
-    use super::Source;
+    use super::{CollisionMeshes, Source};
     use crate::robot::RobotModel;
 
     /// A joint stops where one that follows it reaches its limits; what leaves it no position, and zeros, are no limits.
@@ -649,7 +695,13 @@ mod tests {
             );
             let leader = joint("leader", "b", "lower='-1' upper='2'", "");
             let text = format!("<robot name='r'>{}{}{}{follower}{leader}</robot>", link("a"), link("b"), link("c"));
-            let source = Source { text: &text, file: "r.urdf", folder: std::path::Path::new("."), mends: false };
+            let source = Source {
+                text: &text,
+                file: "r.urdf",
+                folder: std::path::Path::new("."),
+                mends: false,
+                meshes: CollisionMeshes::Hull,
+            };
             let model = RobotModel::read(&source).unwrap_or_else(|e| panic!("{}", e.what));
             (model.drives[0].limits, model.warnings)
         };

@@ -94,8 +94,7 @@ impl<'a> Reader<'a> {
         let geometry = self.child(visual, "geometry")?;
         let colour = self.colour(visual)?;
         if let Some(mesh) = geometry.children().find(|child| child.has_tag_name("mesh")) {
-            let file = self.mesh_file(mesh)?;
-            let scale = self.numbers::<3>(mesh, "scale")?.map_or(DVec3::ONE, DVec3::from_array);
+            let (file, scale) = (self.mesh_file(mesh)?, self.mesh_scale(mesh)?);
             let meshes = read(&file, scale).map_err(|refusal| self.fault(mesh, &refusal.what, &refusal.mend))?;
             // White is what many files say who leave it to the mesh.
             let own = colour.filter(|colour| *colour != [1.0; 3]);
@@ -131,6 +130,7 @@ impl<'a> Reader<'a> {
 mod tests {
     use super::super::RobotModel;
     use super::super::urdf::Source;
+    use barchan_core::scene::CollisionMeshes;
 
     fn read(visual: &str) -> RobotModel {
         let text = format!(
@@ -138,7 +138,13 @@ mod tests {
              <inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>{visual}
              <collision><geometry><box size='1 2 3'/></geometry></collision></link></robot>"
         );
-        let source = Source { text: &text, file: "r.urdf", folder: std::path::Path::new("."), mends: false };
+        let source = Source {
+            text: &text,
+            file: "r.urdf",
+            folder: std::path::Path::new("."),
+            mends: false,
+            meshes: CollisionMeshes::Hull,
+        };
         RobotModel::read(&source).unwrap_or_else(|e| panic!("{}", e.what))
     }
 

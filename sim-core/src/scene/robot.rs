@@ -61,6 +61,20 @@ pub struct Robot {
     /// Mend inertias that no body has, instead of refusing them.
     #[serde(default)]
     pub mend_inertias: bool,
+    /// What its collision meshes stand for. A plan warns of hollow ones that are taken as hulls.
+    #[serde(default)]
+    pub collision_meshes: CollisionMeshes,
+}
+
+/// What a robot's collision meshes stand for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[serde(rename_all = "snake_case")]
+pub enum CollisionMeshes {
+    /// Their convex hulls, which is what most files mean by them. They need not be closed.
+    #[default]
+    Hull,
+    /// Themselves, hollows and all: buckets, forks, treads. They have to be closed. Rigid bodies meet them as several convex bodies.
+    Exact,
 }
 
 /// Motors of some of a robot's joints. Torque = kp (target − position) + kd (target rate − rate), within the effort.

@@ -6,6 +6,7 @@ mod scenes;
 mod sensing;
 mod touching;
 
+use barchan::scene::CollisionMeshes;
 use barchan::{BodyState, Command, Coupling, Options, Precision, RobotState, Scene, Simulation, Vec3};
 use barchan_rigid::motion::Pose;
 use barchan_rigid::robot::dynamics::{bias, gravity, mass_matrix, momentum, places};
@@ -41,7 +42,13 @@ fn read(urdf: &str) -> RobotModel {
     let text = std::fs::read_to_string(&file)
         .unwrap_or_else(|e| panic!("{}: {e}; run: bash tests/robots/fetch.sh", file.display()));
     let name = file.display().to_string();
-    let source = Source { text: &text, file: &name, folder: file.parent().unwrap(), mends: false };
+    let source = Source {
+        text: &text,
+        file: &name,
+        folder: file.parent().unwrap(),
+        mends: false,
+        meshes: CollisionMeshes::Hull,
+    };
     let mut model = RobotModel::read(&source).unwrap_or_else(|e| panic!("{}: {}", e.what, e.mend));
     // The truth knows none.
     model.drives.iter_mut().for_each(|drive| drive.armature = 0.0);

@@ -5,7 +5,7 @@ use barchan::{BodyState, Command, Coupling, Precision, RobotState, Scene, Simula
 use barchan_core::coupling::begin_step;
 use barchan_rigid::Rigid;
 use barchan_rigid::robot::Robots;
-use barchan_tests::scenes::{missed, rows, run_to, simulation};
+use barchan_tests::scenes::{everywhere, missed, rows, run_to, simulation};
 use barchan_tests::sketch::{bed, half, tool};
 use glam::DVec3;
 
@@ -341,5 +341,79 @@ motor = [{ kp = 100, kd = 3 }]
         );
         assert_eq!(missed, 0, "{precision}: {counts:?}");
         assert!(base.position[2] > 0.2 && DVec3::from_array(base.velocity).length() < 0.5, "{precision}: {base:?}");
+    }
+}
+
+/// A bucket [m]: 0.3 by 0.3 by 0.2 outside, with walls and a bottom of 0.04; open at the top, and without its last triangle if it is to have a hole.
+fn bucket(holed: bool) -> String {
+    let ring = |half: f64, z: f64| {
+        [[-half, -half], [half, -half], [half, half], [-half, half]].map(|[x, y]| format!("v {x} {y} {z}\n")).concat()
+    };
+    let mut obj = [ring(0.15, 0.0), ring(0.15, 0.2), ring(0.11, 0.2), ring(0.11, 0.04)].concat();
+    let mut quads = vec![[4, 3, 2, 1], [13, 14, 15, 16]];
+    // Outer sides, rim and inner sides lead from one ring of corners to the next.
+    for from in [0, 4, 8] {
+        quads.extend(
+            (0..4).map(|i| [from + i, from + (i + 1) % 4, from + (i + 1) % 4 + 4, from + i + 4].map(|v| v + 1)),
+        );
+    }
+    for [a, b, c, d] in quads {
+        obj += &format!("f {a} {b} {c}\nf {a} {c} {d}\n");
+    }
+    let kept = if holed { obj.trim_end().rfind('\n').map_or(0, |end| end + 1) } else { obj.len() };
+    obj[..kept].to_owned()
+}
+
+/// What falls into a bucket lies in it if its mesh is taken as it is, and on it if as its hull, of which the plan warns.
+#[test]
+fn a_bucket_is_hollow_if_its_mesh_is_exact() {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::write(folder.path().join("bucket.obj"), bucket(false)).unwrap();
+    std::fs::write(folder.path().join("holed.obj"), bucket(true)).unwrap();
+    let scene = |mesh: &str, meshes: &str, rest: &str| {
+        let urdf = format!(
+            "<robot name='r'>\n<link name='bucket'>\n<inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1'/></inertial>\n<collision><geometry><mesh {mesh}/></geometry></collision></link></robot>"
+        );
+        std::fs::write(folder.path().join("r.urdf"), urdf).unwrap();
+        let text = format!(
+            "name = \"s\"\nworld = {{ cell = 0.02, min = [0, 0, 0], max = [0.6, 0.6, 0.6] }}\ntime = {{ end = 1 }}\n[[robot]]\nname = \"r\"\nurdf = \"r.urdf\"\nfixed = true\nposition = [0.3, 0.3, 0.1]\n{meshes}\n{rest}"
+        );
+        Scene::from_str(&text, "s.toml", folder.path()).unwrap()
+    };
+    let (whole, exact) = ("filename='bucket.obj'", "collision_meshes = \"exact\"");
+    let warned = |mesh: &str, meshes: &str| {
+        let warnings = Robots::new(&scene(mesh, meshes, "")).unwrap().warnings(0.02);
+        warnings.into_iter().find(|warning| warning.contains("convex hull"))
+    };
+    let warning = warned(whole, "").expect("a warning");
+    assert!(
+        ["'bucket'", "bucket.obj", "1.8 times", "\"exact\""].iter().all(|part| warning.contains(part)),
+        "{warning}"
+    );
+    assert_eq!(warned(whole, exact), None);
+    assert_eq!(warned("filename='bucket.obj' scale='1 -1 1'", exact), None, "mirrored, it is still closed");
+    assert_eq!(warned("filename='holed.obj'", ""), None, "what a mesh with a hole holds is not known");
+    let refused = Robots::new(&scene("filename='holed.obj'", exact, "")).map(drop).unwrap_err().to_string();
+    assert!(["r.urdf:4", "holed.obj", "not closed"].iter().all(|part| refused.contains(part)), "{refused}");
+
+    let (bottom, rim) = (0.14, 0.3);
+    let ball = "[[tool]]\nname = \"ball\"\nshape = { sphere = { radius = 0.05 } }\nposition = [0.3, 0.3, 0.4]\nmotion = { free = { mass = 0.5 } }";
+    let sand = "[[material]]\nname = \"sand\"\nlaw = \"sand\"\ndensity = 1600\nparameters = { young_modulus = 2e5, poisson_ratio = 0.3, friction_angle = 0.6 }\n[[body]]\nname = \"sand\"\nmaterial = \"sand\"\nshape = { box = { min = [0.22, 0.22, 0.34], max = [0.38, 0.38, 0.42] } }";
+    for (meshes, floor) in [("", rim), (exact, bottom)] {
+        let mut all = Bare::new(&scene(whole, meshes, ball));
+        all.go(2000, 5e-4);
+        let height = all.body("ball").position[2];
+        println!("{meshes:?}: the ball lies at {height:.4} m");
+        assert!((height - floor - 0.05).abs() < 2e-3, "{meshes:?}: the ball's middle is at {height}");
+        for options in everywhere() {
+            let mut s = Simulation::new(&barchan::registry(), &scene(whole, meshes, sand), &options).unwrap();
+            run_to(&mut s, 0.5);
+            let rows = rows(&s);
+            let low = rows.iter().filter(|row| row.x[2] < rim).count() as f64 / rows.len() as f64;
+            let least = rows.iter().map(|row| row.x[2]).fold(f64::INFINITY, f64::min);
+            println!("{meshes:?}: {low:.3} of the sand is below the rim, the lowest at {least:.3} m");
+            let inside = low > 0.99 && least > bottom - 0.01;
+            assert_eq!(inside, meshes == exact, "{meshes:?}: {low} of the sand is below the rim, down to {least}");
+        }
     }
 }
