@@ -460,6 +460,10 @@ impl Coupling for Rigid {
         let body =
             |body: &Body| DeviceBody { extent: body.extent, swing: body.shape.swing(), reach: body.extent + further };
         let answering = self.bodies.iter().filter(|body| body.answering().is_some());
+        // A device has room for the nodes that such a body can be near to, and a plane is near to them all.
+        if answering.clone().any(|body| body.extent.is_infinite()) {
+            return None;
+        }
         let group = |one| DeviceGroup { words: FREE_WORDS, told: 0, rates: 0, bodies: vec![body(one)] };
         let groups: Vec<_> = answering.map(group).collect();
         let is_guided = self.bodies.iter().any(|body| matches!(body.mover, Mover::Servo(_)));

@@ -152,31 +152,40 @@ fn what_tools_cannot_be_is_refused_by_name() {
 
 /// A bed of elastic ground between slip walls, 4 cells wide and 0.2 m deep, and a plate on it that a force pushes.
 fn footing(servo: &str) -> String {
+    footing_under([0.02, 0.02, 0.22], &half([0.04, 0.04, 0.02]), servo)
+}
+
+/// The same under another shape.
+fn footing_under(position: [f64; 3], shape: &str, servo: &str) -> String {
     let walls = ["x_min", "x_max", "y_min", "y_max", "z_min"].map(|side| format!("{side} = \"slip\"\n")).concat();
     let head = Head { gravity: [0.0; 3], ..Head::cells(0.01, [4, 4, 28], &walls) };
     head.with(&[
         damped("hencky", 1000.0, "young_modulus = 1e5, poisson_ratio = 0.3", 1e-3),
         block("hencky", [0.0; 3], [0.04, 0.04, 0.2], ""),
-        tool("plate", [0.02, 0.02, 0.22], &half([0.04, 0.04, 0.02]), "\"slip\"", servo),
+        tool("plate", position, shape, "\"slip\"", servo),
     ])
 }
 
 /// Under a plate with a given pressure ground comes to rest where its oedometric modulus M bears it: -ln λ = λ p / M for the law of Hencky, in which the
-/// Kirchhoff stress is M ln λ. The plate itself sinks into its outermost particles by p/M of their width besides.
+/// Kirchhoff stress is M ln λ. The plate itself sinks into its outermost particles by p/M of their width besides. It may be a plane, too, which has no end and for
+/// which a device would ask for room without end.
 #[test]
 fn a_plate_under_a_pressure_rests_where_the_ground_bears_it() {
     let (young, poisson, pressure, depth) = (1e5, 0.3, 4e3, 0.2);
     let modulus = young * (1.0 - poisson) / ((1.0 + poisson) * (1.0 - 2.0 * poisson));
     let stretch = (0..50).fold(1.0f64, |stretch, _| (-stretch * pressure / modulus).exp());
     let expected = depth * (1.0 - stretch) + 0.005 * pressure / modulus;
-    for options in everywhere() {
-        let name = format!("{} {}", options.backend, options.precision);
+    let plate = ("plate", 0.22, half([0.04, 0.04, 0.02]));
+    let plane = ("plane", 0.2, "plane = { normal = [0, 0, -1] }".to_owned());
+    let cases = [plate, plane].map(|shape| everywhere().map(|options| (shape.clone(), options)));
+    for ((what, height, shape), options) in cases.into_iter().flatten() {
+        let name = format!("{what}, {} {}", options.backend, options.precision);
         let servo = format!(
             "{{ servo = {{ axis = [0, 0, -2], pressure = {pressure}, area = 0.0016, damping = 20, ramp = 0.1 }} }}"
         );
-        let mut s = start(&footing(&servo), &options);
+        let mut s = start(&footing_under([0.02, 0.02, height], &shape, &servo), &options);
         run_to(&mut s, 0.6);
-        let (sunk, reaction) = (0.22 - s.bodies()[0].position[2], s.wrenches()[0].force[2]);
+        let (sunk, reaction) = (height - s.bodies()[0].position[2], s.wrenches()[0].force[2]);
         println!("{name}: sunk {sunk:.5} m, expected {expected:.5} m");
         within(&format!("{name}: depth off the formula"), (sunk / expected - 1.0).abs(), 0.02);
         within(&format!("{name}: reaction off the force"), (reaction / (pressure * 0.0016) - 1.0).abs(), 0.02);

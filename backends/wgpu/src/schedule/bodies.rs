@@ -59,10 +59,13 @@ pub(crate) struct Needs {
     pub(crate) roams: bool,
 }
 
+/// Blocks of finest cells across a body beyond which there is no room on any device, and so none is asked for: sizes stay numbers.
+const MOST_ACROSS: f64 = 1e4;
+
 /// Blocks of finest cells of width `h` [m] that a box of a body's extent can reach into.
 pub(crate) fn rooms_around(body: &DeviceBody, h: f64) -> usize {
-    let across = (2.0 * body.reach / (4.0 * h)).min(1e6) as usize + 2;
-    across.saturating_pow(3)
+    let across = (2.0 * body.reach / (4.0 * h)).min(MOST_ACROSS) as usize + 2;
+    across.pow(3)
 }
 
 impl Needs {
