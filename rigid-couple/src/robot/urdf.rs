@@ -41,6 +41,14 @@ pub struct Source<'a> {
     pub meshes: CollisionMeshes,
 }
 
+#[cfg(test)]
+impl<'a> Source<'a> {
+    /// A test's text, as a scene has it that says nothing more.
+    pub(super) fn of(text: &'a str) -> Self {
+        Self { text, file: "r.urdf", folder: Path::new("."), mends: false, meshes: CollisionMeshes::default() }
+    }
+}
+
 impl RobotModel {
     /// Reads a robot.
     ///
@@ -670,7 +678,7 @@ impl Link {
 
 #[cfg(test)]
 mod tests {
-    use super::{CollisionMeshes, Source};
+    use super::Source;
     use crate::robot::RobotModel;
 
     /// A joint stops where one that follows it reaches its limits; what leaves it no position, and zeros, are no limits.
@@ -695,14 +703,7 @@ mod tests {
             );
             let leader = joint("leader", "b", "lower='-1' upper='2'", "");
             let text = format!("<robot name='r'>{}{}{}{follower}{leader}</robot>", link("a"), link("b"), link("c"));
-            let source = Source {
-                text: &text,
-                file: "r.urdf",
-                folder: std::path::Path::new("."),
-                mends: false,
-                meshes: CollisionMeshes::Hull,
-            };
-            let model = RobotModel::read(&source).unwrap_or_else(|e| panic!("{}", e.what));
+            let model = RobotModel::read(&Source::of(&text)).unwrap_or_else(|e| panic!("{}", e.what));
             (model.drives[0].limits, model.warnings)
         };
         for (limits, multiplier, wanted, says) in [

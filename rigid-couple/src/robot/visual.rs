@@ -130,7 +130,6 @@ impl<'a> Reader<'a> {
 mod tests {
     use super::super::RobotModel;
     use super::super::urdf::Source;
-    use barchan_core::scene::CollisionMeshes;
 
     fn read(visual: &str) -> RobotModel {
         let text = format!(
@@ -138,14 +137,7 @@ mod tests {
              <inertial><mass value='1'/><inertia ixx='1' iyy='1' izz='1' ixy='0' ixz='0' iyz='0'/></inertial>{visual}
              <collision><geometry><box size='1 2 3'/></geometry></collision></link></robot>"
         );
-        let source = Source {
-            text: &text,
-            file: "r.urdf",
-            folder: std::path::Path::new("."),
-            mends: false,
-            meshes: CollisionMeshes::Hull,
-        };
-        RobotModel::read(&source).unwrap_or_else(|e| panic!("{}", e.what))
+        RobotModel::read(&Source::of(&text)).unwrap_or_else(|e| panic!("{}", e.what))
     }
 
     #[test]
