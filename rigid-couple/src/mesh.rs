@@ -83,18 +83,7 @@ impl TriangleMesh {
             let mend = "give a positive factor; a negative one would turn the mesh inside out";
             return Err(Refusal::new(format!("the mesh's scale is {scale}"), mend));
         }
-        Self::of_file(file, DVec3::splat(scale))
-    }
-
-    /// The same with a scale for each axis. A mesh that it mirrors is turned so that its triangles face outwards again.
-    pub(crate) fn of_file(file: &Path, scale: DVec3) -> Result<Self, Refusal> {
-        let mirrored = scale.x * scale.y * scale.z < 0.0;
-        let corners = corners_of(file)?.into_iter().map(|corners| {
-            let [a, b, c] = corners.map(|x| x * scale);
-            if mirrored { [a, c, b] } else { [a, b, c] }
-        });
-        Self::new(corners)
-            .map_err(|refusal| Refusal { what: format!("{}: {}", file.display(), refusal.what), ..refusal })
+        Triangles::read(file, DVec3::splat(scale))?.mesh()
     }
 
     fn check(&self) -> Result<(), Refusal> {
@@ -155,33 +144,60 @@ impl TriangleMesh {
     }
 }
 
-/// The convex hull of a mesh, whose file may have holes; `scale` takes the file's units to metres along each axis.
-///
-/// # Errors
-/// If the file cannot be read, or its points lie in a plane.
-pub fn hull_of(file: &Path, scale: DVec3) -> Result<TriangleMesh, Refusal> {
-    let points: Vec<DVec3> = corners_of(file)?.into_iter().flatten().map(|x| x * scale).collect();
-    let flat = |what: &str| Refusal::new(format!("{}: {what}", file.display()), "give a mesh with a volume");
-    if points.len() < 4 || !points.iter().all(|x| x.is_finite()) {
-        return Err(flat("it has fewer than four points, or some that are not finite"));
+/// The triangles of a file in metres, which need not be closed.
+#[derive(Debug)]
+pub(crate) struct Triangles<'a> {
+    file: &'a Path,
+    corners: Vec<[DVec3; 3]>,
+}
+
+impl<'a> Triangles<'a> {
+    /// Reads an OBJ, STL or DAE file; `scale` takes the file's unit to metres along each axis. What it mirrors is turned so that triangles face outwards again.
+    ///
+    /// # Errors
+    /// If the file cannot be read.
+    pub(crate) fn read(file: &'a Path, scale: DVec3) -> Result<Self, Refusal> {
+        let mirrored = scale.x * scale.y * scale.z < 0.0;
+        let all = coloured_corners(file)?.into_iter().flat_map(|(_, corners)| corners);
+        let corners = all.map(|corners| {
+            let [a, b, c] = corners.map(|x| x * scale);
+            if mirrored { [a, c, b] } else { [a, b, c] }
+        });
+        Ok(Self { file, corners: corners.collect() })
     }
-    // Parry panics where points have no hull.
-    let hull = std::panic::catch_unwind(|| parry3d_f64::transformation::convex_hull(&points));
-    let (vertices, triangles) = hull.map_err(|_| flat("its points have no convex hull"))?;
-    let mesh = TriangleMesh::new(triangles.into_iter().map(|t| t.map(|i| vertices[i as usize])));
-    mesh.map_err(|refusal| Refusal {
-        what: format!("{}: its convex hull: {}", file.display(), refusal.what),
-        ..refusal
-    })
+
+    /// The mesh that they are.
+    ///
+    /// # Errors
+    /// If [`TriangleMesh::new`] refuses it.
+    pub(crate) fn mesh(&self) -> Result<TriangleMesh, Refusal> {
+        TriangleMesh::new(self.corners.iter().copied()).map_err(|refusal| self.of_file("", refusal))
+    }
+
+    /// Their convex hull.
+    ///
+    /// # Errors
+    /// If their points lie in a plane.
+    pub(crate) fn hull(&self) -> Result<TriangleMesh, Refusal> {
+        let points = self.corners.as_flattened();
+        let flat = |what: &str| self.of_file("", Refusal::new(what, "give a mesh with a volume"));
+        if points.len() < 4 || !points.iter().all(|x| x.is_finite()) {
+            return Err(flat("it has fewer than four points, or some that are not finite"));
+        }
+        // Parry panics where points have no hull.
+        let hull = std::panic::catch_unwind(|| parry3d_f64::transformation::convex_hull(points));
+        let (vertices, triangles) = hull.map_err(|_| flat("its points have no convex hull"))?;
+        TriangleMesh::new(triangles.into_iter().map(|t| t.map(|i| vertices[i as usize])))
+            .map_err(|refusal| self.of_file("its convex hull: ", refusal))
+    }
+
+    fn of_file(&self, part: &str, refusal: Refusal) -> Refusal {
+        Refusal { what: format!("{}: {part}{}", self.file.display(), refusal.what), ..refusal }
+    }
 }
 
 /// Triangles by their corners, and their colour if the file says one: sRGB from 0 to 1.
 type Coloured = (Option<[f32; 3]>, Vec<[DVec3; 3]>);
-
-/// The corners of a file's triangles, in its own unit.
-fn corners_of(file: &Path) -> Result<Vec<[DVec3; 3]>, Refusal> {
-    Ok(coloured_corners(file)?.into_iter().flat_map(|(_, corners)| corners).collect())
-}
 
 /// The corners of a file's triangles, in its own unit, by colour. They need not be closed.
 pub(crate) fn coloured_corners(file: &Path) -> Result<Vec<Coloured>, Refusal> {

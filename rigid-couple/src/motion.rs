@@ -28,6 +28,11 @@ impl Pose {
     pub fn then(&self, inner: &Self) -> Self {
         Self { position: self.apply(inner.position), rotation: (self.rotation * inner.rotation).normalize() }
     }
+    /// Its orientation as (w, x, y, z).
+    pub(crate) fn quaternion(&self) -> [f64; 4] {
+        let turn = self.rotation;
+        [turn.w, turn.x, turn.y, turn.z]
+    }
     /// The same so far on [m].
     #[must_use]
     pub fn moved(&self, by: DVec3) -> Self {

@@ -505,9 +505,9 @@ impl Coupling for Rigid {
         let free = self.bodies.iter().filter(|body| body.answering().is_some());
         let state = |body: &Body| {
             let State { pose, twist, angular_momentum, .. } = body.state;
-            let rotation = [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z];
             let words = vec![word(twist.linear), word(angular_momentum)];
-            GroupState { words, bodies: vec![Placed { position: pose.position.to_array(), rotation }] }
+            let placed = Placed { position: pose.position.to_array(), rotation: pose.quaternion() };
+            GroupState { words, bodies: vec![placed] }
         };
         free.map(state).collect()
     }

@@ -29,8 +29,7 @@ pub(crate) fn mesh(triangles: Vec<Triangle>) -> Arc<Mesh> {
 
 /// A mesh at a place.
 pub(crate) fn placed(mesh: &Arc<Mesh>, pose: &Pose, colour: Option<[f32; 3]>) -> Surface {
-    let q = pose.rotation;
-    Surface { mesh: Arc::clone(mesh), position: pose.position.to_array(), rotation: [q.w, q.x, q.y, q.z], colour }
+    Surface { mesh: Arc::clone(mesh), position: pose.position.to_array(), rotation: pose.quaternion(), colour }
 }
 
 /// What a world's box holds of the planes of a shape at `pose`.

@@ -30,13 +30,19 @@ pub struct RobotState {
     pub links: Vec<LinkState>,
 }
 
-/// What a link feels.
+/// How a link moves, and what it feels.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LinkState {
     /// Name, as in [`Simulation::bodies`].
     pub name: String,
     /// Centre of mass, world [m].
     pub centre: Vec3,
+    /// Orientation quaternion (w, x, y, z).
+    pub rotation: [f64; 4],
+    /// Velocity of the centre of mass, world [m/s].
+    pub velocity: Vec3,
+    /// Angular velocity, world [rad/s].
+    pub angular_velocity: Vec3,
     /// Mean force of the soft ground over the last step [N], and torque about the centre of mass [N m], world frame.
     pub ground: Wrench,
     /// Where it touched what is rigid in the last step: walls, tools, other links.
@@ -452,6 +458,9 @@ mod tests {
         let link = LinkState {
             name: "foot".to_owned(),
             centre: [0.0; 3],
+            rotation: [1.0, 0.0, 0.0, 0.0],
+            velocity: [0.0; 3],
+            angular_velocity: [0.0; 3],
             ground: Wrench { force: force.to_array(), torque: at.cross(force).to_array() },
             rigid: Vec::new(),
         };

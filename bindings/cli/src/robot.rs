@@ -2,6 +2,7 @@
 
 use crate::print::show;
 use barchan::picture::draw_robot;
+use barchan::scene::CollisionMeshes;
 use barchan::{Error, Result, RobotModel};
 use clap::{Args, Subcommand};
 use std::path::PathBuf;
@@ -25,9 +26,9 @@ pub(crate) struct CheckArgs {
     /// Mend inertias that no body has, as `mend_inertias` does in a scene, instead of refusing them.
     #[arg(long)]
     mend_inertias: bool,
-    /// Take collision meshes as they are, as `collision_meshes = "exact"` does in a scene, instead of their convex hulls.
-    #[arg(long)]
-    exact_meshes: bool,
+    /// Take collision meshes as they are, as `collision_meshes` does in a scene, instead of their convex hulls: all, or those of some links, such as --exact-meshes=bucket*,fork.
+    #[arg(long, value_name = "LINKS", value_delimiter = ',', num_args = 0.., require_equals = true)]
+    exact_meshes: Option<Vec<String>>,
 }
 
 pub(crate) fn run(command: &Robot) -> Result<()> {
@@ -38,8 +39,11 @@ pub(crate) fn run(command: &Robot) -> Result<()> {
         false => barchan::scene::Robot::built_in("robot", args.robot.as_str()),
     };
     robot.mend_inertias = args.mend_inertias;
-    if args.exact_meshes {
-        robot.collision_meshes = barchan::scene::CollisionMeshes::Exact;
+    if let Some(links) = &args.exact_meshes {
+        robot.collision_meshes = match &links[..] {
+            [] => CollisionMeshes::Exact,
+            links => CollisionMeshes::ExactLinks(links.to_vec()),
+        };
     }
     let model = RobotModel::of(&robot, std::path::Path::new(""))
         .map_err(|refusal| -> Error { refusal.at(&format!("robot '{}'", args.robot)) })?;

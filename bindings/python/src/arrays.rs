@@ -1,7 +1,7 @@
 //! What all worlds of a batch say of one robot or body, as arrays with a row for each world.
 
 use crate::records::{record, vector};
-use barchan::{BodyState, HeightScan, JointState, RobotState, Wrench};
+use barchan::{BodyState, HeightScan, JointState, LinkState, RobotState, Wrench};
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::PyValueError;
@@ -36,11 +36,10 @@ pub(crate) fn robots<'py>(
         |of: fn(&JointState) -> f64| stacked(py, worlds, &[joints], all.iter().flat_map(|(_, joints)| joints).map(of));
     let of_base =
         |of: fn(&RobotState) -> [f64; 3]| stacked(py, worlds, &[3], all.iter().flat_map(move |(robot, _)| of(robot)));
-    let felt: Vec<Wrench> = all.iter().flat_map(|(robot, _)| &robot.links).map(|link| link.felt()).collect();
+    let all_links = || all.iter().flat_map(|(robot, _)| &robot.links);
+    let felt: Vec<Wrench> = all_links().map(LinkState::felt).collect();
     let of_felt = |of: fn(&Wrench) -> [f64; 3]| stacked(py, worlds, &[links, 3], felt.iter().flat_map(of));
-    let of_links = |of: fn(&barchan::LinkState) -> [f64; 3]| {
-        stacked(py, worlds, &[links, 3], all.iter().flat_map(|(robot, _)| &robot.links).flat_map(of))
-    };
+    let of_links = |of: fn(&LinkState) -> [f64; 3]| stacked(py, worlds, &[links, 3], all_links().flat_map(of));
     let first = || all.iter().take(1);
     let joint_names: Vec<&str> = first().flat_map(|(_, joints)| joints).map(|joint| &*joint.name).collect();
     let link_names: Vec<&str> = first().flat_map(|(robot, _)| &robot.links).map(|link| &*link.name).collect();
@@ -61,6 +60,9 @@ pub(crate) fn robots<'py>(
         ("joint_rate", of_joints(|joint| joint.rate)?),
         ("joint_torque", of_joints(|joint| joint.torque)?),
         ("link_position", of_links(|link| link.centre)?),
+        ("link_rotation", stacked(py, worlds, &[links, 4], all_links().flat_map(|link| link.rotation))?),
+        ("link_velocity", of_links(|link| link.velocity)?),
+        ("link_angular_velocity", of_links(|link| link.angular_velocity)?),
         ("ground_force", of_links(|link| link.ground.force)?),
         ("ground_torque", of_links(|link| link.ground.torque)?),
         ("felt_force", of_felt(|wrench| wrench.force)?),

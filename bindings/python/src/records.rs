@@ -2,7 +2,7 @@
 
 use barchan::export::{Column, Values};
 use barchan::surface::Surface;
-use barchan::{BodyState, JointState, LinkState, Plan, Reading, RobotState, Task, Vec3, Wrench};
+use barchan::{BodyState, JointState, LinkState, Patch, Plan, Reading, RobotState, Task, Vec3, Wrench};
 use numpy::{Element, PyArray1, PyArrayMethods};
 use pyo3::IntoPyObjectExt;
 use pyo3::prelude::*;
@@ -107,12 +107,35 @@ fn link(py: Python<'_>, link: LinkState) -> PyResult<Bound<'_, PyAny>> {
     let fields = [
         ("name", link.name.into_bound_py_any(py)?),
         ("position", triple(py, link.centre)),
+        ("rotation", vector(py, link.rotation.to_vec())),
+        ("velocity", triple(py, link.velocity)),
+        ("angular_velocity", triple(py, link.angular_velocity)),
         ("ground", wrench(py, &link.ground)?),
         ("felt", wrench(py, &felt)?),
         ("contact_points", rows(py, points)?),
         ("contact_forces", rows(py, forces)?),
     ];
     record(py, "Link", &fields)
+}
+
+/// Where links are touched: `Patch` records by the names of those that are.
+pub(crate) fn patches<'py>(
+    py: Python<'py>,
+    links: &[LinkState],
+    patches: Vec<Option<Patch>>,
+) -> PyResult<Bound<'py, PyDict>> {
+    let all = PyDict::new(py);
+    for (link, patch) in links.iter().zip(patches) {
+        let Some(patch) = patch else { continue };
+        let fields = [
+            ("points", patch.points.into_bound_py_any(py)?),
+            ("low", triple(py, patch.bounds.min)),
+            ("high", triple(py, patch.bounds.max)),
+            ("centre_of_pressure", triple(py, patch.centre_of_pressure)),
+        ];
+        all.set_item(&link.name, record(py, "Patch", &fields)?)?;
+    }
+    Ok(all)
 }
 
 /// A robot with its joints, which come in the order of commands to it.

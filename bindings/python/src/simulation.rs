@@ -183,18 +183,24 @@ impl Simulation {
         Ok(())
     }
 
-    /// Steps every world until `seconds` later; the last step ends there exactly.
+    /// Steps every world until `seconds` later, or those in `worlds` (a number or a list) while the others wait; the last step ends there exactly.
     ///
-    /// With `progress=True`, what has been reached is shown on stderr. If a world cannot go on, the others do, and what it says is raised then. The rest is as for `step`.
-    #[pyo3(signature = (seconds, *, progress=false))]
-    fn advance(&self, py: Python<'_>, seconds: f64, progress: bool) -> PyResult<()> {
+    /// With `progress=True`, what has been reached is shown on stderr. If a world cannot go on, the others do, and what it says is raised then: its `times` lag behind. The rest
+    /// is as for `step`.
+    #[pyo3(signature = (seconds, *, progress=false, worlds=None))]
+    fn advance(&self, py: Python<'_>, seconds: f64, progress: bool, worlds: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         if !(seconds >= 0.0 && seconds.is_finite()) {
             return Err(PyValueError::new_err(format!("seconds: {seconds} is no time to advance by")));
         }
         let mut machine = self.machine(py)?;
         let machine = &mut *machine;
-        let mut until: Vec<f64> = (0..machine.len()).map(|world| machine.world(world).time() + seconds).collect();
-        let (end, mut failure) = (until[0], None);
+        // Worlds that wait are where they are to go.
+        let mut until = vec![f64::NEG_INFINITY; machine.len()];
+        for world in chosen(worlds, machine.len())? {
+            until[world] = machine.world(world).time() + seconds;
+        }
+        let Some(shown) = until.iter().position(|until| until.is_finite()) else { return Ok(()) };
+        let (end, mut failure) = (until[shown], None);
         let show = |time: f64, line: &str| -> PyResult<()> {
             if progress {
                 let stderr = py.import("sys")?.getattr("stderr")?;
@@ -205,7 +211,7 @@ impl Simulation {
         };
         loop {
             let there = py.detach(|| machine.approach(&mut until, &mut failure));
-            show(machine.world(0).time(), if there { "\n" } else { "" })?;
+            show(machine.world(shown).time(), if there { "\n" } else { "" })?;
             if there {
                 return failure.map_or(Ok(()), |(error, world)| Err(raised(py, error, world)));
             }
@@ -544,6 +550,16 @@ impl Simulation {
         let ask =
             move || chosen.iter().map(|&world| machine.world(world).body(body)).collect::<barchan::Result<Vec<_>>>();
         arrays::bodies(py, &py.detach(ask).or_raise(py)?)
+    }
+
+    /// Where a robot's links are touched by the ground or by what is rigid, as `Patch` records by their names; links that feel no force above `least` [N] are left out.
+    ///
+    /// Raises `BodyError` if there is no such robot.
+    #[pyo3(signature = (robot, *, least=1.0, world=0))]
+    fn patches<'py>(&self, py: Python<'py>, robot: &str, least: f64, world: usize) -> PyResult<Bound<'py, PyDict>> {
+        let ask = |one: &World| Ok((one.robot(robot)?.links, one.patches(robot, least)?));
+        let (links, patches) = self.look(py, world, ask)?.or_raise(py)?;
+        records::patches(py, &links, patches)
     }
 
     /// Heights of the ground at the points around a robot that its `scan` in the scene gives, below its base: a `HeightScan` record. The points turn with the

@@ -342,7 +342,7 @@ impl Body {
         let mut state = BodyState {
             name: self.name.clone(),
             position: pose.position.to_array(),
-            rotation: [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z],
+            rotation: pose.quaternion(),
             velocity: twist.linear.to_array(),
             angular_velocity: twist.angular.to_array(),
             mass: f64::INFINITY,

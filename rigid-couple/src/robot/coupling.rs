@@ -197,7 +197,7 @@ impl Robot {
         BodyState {
             name: self.body_name(body).to_owned(),
             position: pose.position.to_array(),
-            rotation: [pose.rotation.w, pose.rotation.x, pose.rotation.y, pose.rotation.z],
+            rotation: pose.quaternion(),
             velocity: twist.linear.to_array(),
             angular_velocity: twist.angular.to_array(),
             mass,

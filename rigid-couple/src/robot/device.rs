@@ -308,8 +308,7 @@ impl Robot {
 }
 
 fn of_pose(pose: &Pose) -> ([f64; 3], [f64; 4]) {
-    let q = pose.rotation;
-    (pose.position.to_array(), [q.w, q.x, q.y, q.z])
+    (pose.position.to_array(), pose.quaternion())
 }
 
 /// Are robots to be solved together on a device, since some may touch? Not where there are too many for that.

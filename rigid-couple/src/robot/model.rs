@@ -183,7 +183,7 @@ impl RobotModel {
             file: &name,
             folder,
             mends: robot.mend_inertias,
-            meshes: robot.collision_meshes,
+            meshes: &robot.collision_meshes,
         })
     }
 }

@@ -92,18 +92,24 @@ impl Robot {
     pub(super) fn sensors(&self) -> RobotState {
         let (base, sensed) = (self.state.base, &self.state.sensed);
         let along_base = |x: DVec3| (base.rotation.conjugate() * x).to_array();
-        let link = |body: usize| LinkState {
-            name: self.body_name(body).to_owned(),
-            centre: self.pose(body).position.to_array(),
-            ground: Wrench::default(),
-            rigid: (sensed.rigid.iter().filter(|felt| felt.0 == body))
-                .map(|(_, at, force)| PointForce { position: at.to_array(), force: force.to_array() })
-                .collect(),
+        let link = |body: usize| {
+            let (pose, twist) = (self.pose(body), self.twist(body));
+            LinkState {
+                name: self.body_name(body).to_owned(),
+                centre: pose.position.to_array(),
+                rotation: pose.quaternion(),
+                velocity: twist.linear.to_array(),
+                angular_velocity: twist.angular.to_array(),
+                ground: Wrench::default(),
+                rigid: (sensed.rigid.iter().filter(|felt| felt.0 == body))
+                    .map(|(_, at, force)| PointForce { position: at.to_array(), force: force.to_array() })
+                    .collect(),
+            }
         };
         RobotState {
             name: self.name.clone(),
             position: base.position.to_array(),
-            rotation: [base.rotation.w, base.rotation.x, base.rotation.y, base.rotation.z],
+            rotation: base.quaternion(),
             velocity: along_base(self.base_velocity()),
             angular_velocity: along_base(self.twist(0).angular),
             specific_force: along_base(sensed.specific_force),

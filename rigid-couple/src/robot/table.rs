@@ -2,7 +2,6 @@
 
 use super::model::{Freedom, RobotModel};
 use crate::sdf::Primitive;
-use barchan_core::scene::CollisionMeshes;
 use std::fmt;
 
 impl fmt::Display for RobotModel {
@@ -30,7 +29,7 @@ impl fmt::Display for RobotModel {
                 .shape
                 .iter()
                 .flat_map(|shape| shape.parts())
-                .map(|p| name(&p.primitive, self.collision_meshes))
+                .map(|p| name(&p.primitive, self.collision_meshes.are_exact(&link.name)))
                 .collect();
             writeln!(f, "{:<26} {:>9.4}  {joint:<24} {}", link.name, link.mass, shapes.join(", "))?;
         }
@@ -57,7 +56,7 @@ impl fmt::Display for RobotModel {
     }
 }
 
-fn name(primitive: &Primitive, meshes: CollisionMeshes) -> &'static str {
+fn name(primitive: &Primitive, is_exact: bool) -> &'static str {
     match primitive {
         Primitive::Sphere { .. } => "sphere",
         Primitive::Box { .. } => "box",
@@ -65,7 +64,7 @@ fn name(primitive: &Primitive, meshes: CollisionMeshes) -> &'static str {
         Primitive::Capsule { .. } => "capsule",
         Primitive::Plane => "plane",
         Primitive::HeightField(_) => "height field",
-        Primitive::Mesh(_) if meshes == CollisionMeshes::Hull => "mesh (hull)",
-        Primitive::Mesh(_) => "mesh",
+        Primitive::Mesh(_) if is_exact => "mesh",
+        Primitive::Mesh(_) => "mesh (hull)",
     }
 }

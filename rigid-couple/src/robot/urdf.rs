@@ -7,11 +7,11 @@ use super::model::{Drive, Freedom, Joint, Link, RobotModel};
 use super::visual::Visual;
 use crate::Refusal;
 use crate::mass::{Filling, outer};
-use crate::mesh::{DistanceGrid, TriangleMesh, hull_of};
+use crate::mesh::{DistanceGrid, Triangles};
 use crate::motion::Pose;
 use crate::sdf::{MeshPart, Part, Primitive, Sdf};
 use crate::surface::mesh_of;
-use barchan_core::scene::CollisionMeshes;
+use barchan_core::scene::{CollisionMeshes, fits};
 use glam::{DMat3, DQuat, DVec3};
 use nalgebra::{Matrix3, SymmetricEigen};
 use roxmltree::{Document, Node};
@@ -38,14 +38,14 @@ pub struct Source<'a> {
     /// Make inertias that no body has those of the nearest one instead of refusing them.
     pub mends: bool,
     /// What collision meshes stand for.
-    pub meshes: CollisionMeshes,
+    pub meshes: &'a CollisionMeshes,
 }
 
 #[cfg(test)]
 impl<'a> Source<'a> {
     /// A test's text, as a scene has it that says nothing more.
     pub(super) fn of(text: &'a str) -> Self {
-        Self { text, file: "r.urdf", folder: Path::new("."), mends: false, meshes: CollisionMeshes::default() }
+        Self { text, file: "r.urdf", folder: Path::new("."), mends: false, meshes: &CollisionMeshes::Hull }
     }
 }
 
@@ -139,10 +139,11 @@ impl<'a> Reader<'a> {
         };
         let files = root.descendants().filter(touches).map(|mesh| self.mesh_file(mesh)).collect::<Result<_, _>>()?;
         self.check_inertias(&mut tree, &links)?;
+        self.check_exact(root, &tree.links)?;
         self.warn_of_hollow();
         let model = RobotModel {
             name: root.attribute("name").unwrap_or("robot").to_owned(),
-            collision_meshes: self.source.meshes,
+            collision_meshes: self.source.meshes.clone(),
             links: tree.links,
             drives: tree.drives,
             files,
@@ -407,8 +408,8 @@ impl<'a> Reader<'a> {
         let mut parts = Vec::new();
         for collision in node.children().filter(|child| child.has_tag_name("collision")) {
             let place = self.origin(collision)?;
-            self.shape(collision, &place, &mut parts)?;
-            self.note_hollow(name, collision, parts.last())?;
+            let primitive = self.solid(name, collision)?;
+            parts.push(Part::new(primitive, place));
         }
         link.shape = (!parts.is_empty()).then(|| Sdf::new(parts).seen_from(link.centre));
         link.visuals = self.visuals(node);
@@ -464,29 +465,51 @@ impl<'a> Reader<'a> {
         Ok(())
     }
 
-    /// Notes a hull, the last of a link's shapes, that holds much more than its mesh.
-    fn note_hollow(&mut self, link: &str, collision: Xml<'a>, last: Option<&Part>) -> Result<(), Refusal> {
-        let (CollisionMeshes::Hull, Some(Primitive::Mesh(hull))) =
-            (self.source.meshes, last.map(|part| &part.primitive))
-        else {
+    /// What a link touches with by a collision element.
+    fn solid(&mut self, link: &str, collision: Xml<'a>) -> Result<Primitive, Refusal> {
+        let kind = self.geometry(collision)?;
+        if !kind.has_tag_name("mesh") {
+            return self.primitive(kind);
+        }
+        let file = self.mesh_file(kind)?;
+        let fault = |refusal: Refusal| self.fault(kind, &refusal.what, &refusal.mend);
+        let triangles = Triangles::read(&file, self.mesh_scale(kind)?).map_err(fault)?;
+        let is_exact = self.source.meshes.are_exact(link);
+        let mesh = if is_exact { triangles.mesh() } else { triangles.hull() }.map_err(fault)?;
+        // What a mesh with holes holds, nobody can tell.
+        let own = if is_exact { None } else { triangles.mesh().ok() };
+        let share = own.map_or(1.0, |own| Filling::of_mesh(&mesh).volume / Filling::of_mesh(&own).volume);
+        if share > HOLLOW {
+            let file = file.file_name().unwrap_or_default().display();
+            self.hollow.push(format!("'{link}' ({file}, {share:.1} times)"));
+        }
+        let grid = DistanceGrid::sample(&mesh);
+        Ok(Primitive::Mesh(Arc::new(MeshPart { mesh, grid })))
+    }
+
+    /// Is there a link with a collision mesh for each name of those whose meshes are to be exact?
+    fn check_exact(&self, root: Xml<'a>, links: &[Link]) -> Result<(), Refusal> {
+        let CollisionMeshes::ExactLinks(patterns) = self.source.meshes else { return Ok(()) };
+        let has_mesh = |link: &&Link| {
+            let mut parts = link.shape.iter().flat_map(|shape| shape.parts());
+            parts.any(|part| matches!(part.primitive, Primitive::Mesh(_)))
+        };
+        let names: Vec<&str> = links.iter().filter(has_mesh).map(|link| &*link.name).collect();
+        let Some(pattern) = patterns.iter().find(|pattern| !names.iter().any(|name| fits(pattern, name))) else {
             return Ok(());
         };
-        let kind = self.child(self.child(collision, "geometry")?, "mesh")?;
-        let (file, scale) = (self.mesh_file(kind)?, self.mesh_scale(kind)?);
-        // What a mesh with holes holds, nobody can tell.
-        let Ok(mesh) = TriangleMesh::of_file(&file, scale) else { return Ok(()) };
-        let [more, own] = [&hull.mesh, &mesh].map(|mesh| Filling::of_mesh(mesh).volume);
-        if more > HOLLOW * own {
-            let file = file.file_name().unwrap_or_default().display();
-            self.hollow.push(format!("'{link}' ({file}, {:.1} times)", more / own));
-        }
-        Ok(())
+        let what = format!("collision_meshes: no link with a collision mesh is called '{pattern}'");
+        let mend = match &names[..] {
+            [] => "leave collision_meshes out: no link has one".to_owned(),
+            names => format!("those with one are: {}", names.join(", ")),
+        };
+        Err(self.fault(root, &what, &mend))
     }
 
     fn warn_of_hollow(&mut self) {
         if !self.hollow.is_empty() {
             self.warnings.push(format!(
-                "convex hulls stand for collision meshes and hold much more than these, so that nothing gets into their hollows: {}; if that matters, set collision_meshes = \"exact\"",
+                "convex hulls stand for collision meshes and hold much more than these, so that nothing gets into their hollows: {}; if that matters, set collision_meshes = \"exact\", or {{ exact_links = [\"NAME\", …] }} for some links",
                 self.hollow.join(", ")
             ));
         }
@@ -497,11 +520,17 @@ impl<'a> Reader<'a> {
         Ok(self.numbers::<3>(mesh, "scale")?.map_or(DVec3::ONE, DVec3::from_array))
     }
 
-    pub(super) fn shape(&self, collision: Xml<'a>, place: &Pose, parts: &mut Vec<Part>) -> Result<(), Refusal> {
-        let geometry = self.child(collision, "geometry")?;
-        let Some(kind) = geometry.children().find(Node::is_element) else {
-            return Err(self.fault(geometry, "it is empty", "give a box, sphere, cylinder, capsule or mesh"));
-        };
+    /// The shape that a collision or visual element holds.
+    pub(super) fn geometry(&self, element: Xml<'a>) -> Result<Xml<'a>, Refusal> {
+        let geometry = self.child(element, "geometry")?;
+        geometry
+            .children()
+            .find(Node::is_element)
+            .ok_or_else(|| self.fault(geometry, "it is empty", "give a box, sphere, cylinder, capsule or mesh"))
+    }
+
+    /// A shape that is no mesh.
+    pub(super) fn primitive(&self, kind: Xml<'a>) -> Result<Primitive, Refusal> {
         let length = |key: &str| {
             let value = self.required(kind, key)?;
             if value > 0.0 {
@@ -510,7 +539,7 @@ impl<'a> Reader<'a> {
                 Err(self.fault(kind, &format!("{key} is {value}"), "give a positive length"))
             }
         };
-        let primitive = match kind.tag_name().name() {
+        Ok(match kind.tag_name().name() {
             "box" => {
                 let size =
                     self.numbers::<3>(kind, "size")?.map(DVec3::from_array).filter(|size| size.min_element() > 0.0);
@@ -522,23 +551,11 @@ impl<'a> Reader<'a> {
             "sphere" => Primitive::Sphere { radius: length("radius")? },
             "cylinder" => Primitive::Cylinder { radius: length("radius")?, half_height: 0.5 * length("length")? },
             "capsule" => Primitive::Capsule { radius: length("radius")?, half_height: 0.5 * length("length")? },
-            "mesh" => {
-                let (file, scale) = (self.mesh_file(kind)?, self.mesh_scale(kind)?);
-                let mesh = match self.source.meshes {
-                    CollisionMeshes::Hull => hull_of(&file, scale),
-                    CollisionMeshes::Exact => TriangleMesh::of_file(&file, scale),
-                };
-                let mesh = mesh.map_err(|refusal| self.fault(kind, &refusal.what, &refusal.mend))?;
-                let grid = DistanceGrid::sample(&mesh);
-                Primitive::Mesh(Arc::new(MeshPart { mesh, grid }))
-            }
             other => {
                 let mend = "use box, sphere, cylinder, capsule or mesh";
                 return Err(self.fault(kind, &format!("'{other}' is no shape that is known"), mend));
             }
-        };
-        parts.push(Part::new(primitive, *place));
-        Ok(())
+        })
     }
 
     /// The URDF's folder, and those around it, as its path says it and as links in the file system lead there.

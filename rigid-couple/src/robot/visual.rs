@@ -91,24 +91,18 @@ impl<'a> Reader<'a> {
 
     fn visual(&self, visual: Xml<'a>) -> Result<Vec<Visual>, Refusal> {
         let place = self.origin(visual)?;
-        let geometry = self.child(visual, "geometry")?;
+        let kind = self.geometry(visual)?;
         let colour = self.colour(visual)?;
-        if let Some(mesh) = geometry.children().find(|child| child.has_tag_name("mesh")) {
-            let (file, scale) = (self.mesh_file(mesh)?, self.mesh_scale(mesh)?);
-            let meshes = read(&file, scale).map_err(|refusal| self.fault(mesh, &refusal.what, &refusal.mend))?;
+        if kind.has_tag_name("mesh") {
+            let (file, scale) = (self.mesh_file(kind)?, self.mesh_scale(kind)?);
+            let meshes = read(&file, scale).map_err(|refusal| self.fault(kind, &refusal.what, &refusal.mend))?;
             // White is what many files say who leave it to the mesh.
             let own = colour.filter(|colour| *colour != [1.0; 3]);
             let part = |(its, mesh)| Visual { mesh, place, colour: own.or(its).or(colour) };
             return Ok(meshes.into_iter().map(part).collect());
         }
-        let mut parts = Vec::new();
-        self.shape(visual, &place, &mut parts)?;
-        let part = |part: crate::sdf::Part| Visual {
-            mesh: surface::mesh(surface::primitive(&part.primitive)),
-            place: part.pose,
-            colour,
-        };
-        Ok(parts.into_iter().map(part).collect())
+        let mesh = surface::mesh(surface::primitive(&self.primitive(kind)?));
+        Ok(vec![Visual { mesh, place, colour }])
     }
 
     /// The colour of a visual element, by itself or by the name of a material of the robot.

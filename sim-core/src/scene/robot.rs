@@ -1,6 +1,6 @@
 //! Robots in a scene.
 
-use super::{Contact, Keyframe};
+use super::{Contact, Keyframe, fits};
 use crate::Vec3;
 use schemars::JsonSchema;
 use serde::{Deserialize, Serialize};
@@ -67,7 +67,7 @@ pub struct Robot {
 }
 
 /// What a robot's collision meshes stand for.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize, JsonSchema)]
 #[serde(rename_all = "snake_case")]
 pub enum CollisionMeshes {
     /// Their convex hulls, which is what most files mean by them. They need not be closed.
@@ -75,6 +75,19 @@ pub enum CollisionMeshes {
     Hull,
     /// Themselves, hollows and all: buckets, forks, treads. They have to be closed. Rigid bodies meet them as several convex bodies.
     Exact,
+    /// Themselves for the links of these names, and their convex hulls for all others; a `*` stands for any letters.
+    ExactLinks(Vec<String>),
+}
+
+impl CollisionMeshes {
+    /// Are the meshes of a link taken as they are?
+    pub fn are_exact(&self, link: &str) -> bool {
+        match self {
+            Self::Hull => false,
+            Self::Exact => true,
+            Self::ExactLinks(patterns) => patterns.iter().any(|pattern| fits(pattern, link)),
+        }
+    }
 }
 
 /// Motors of some of a robot's joints. Torque = kp (target − position) + kd (target rate − rate), within the effort.

@@ -47,7 +47,7 @@ fn read(urdf: &str) -> RobotModel {
         file: &name,
         folder: file.parent().unwrap(),
         mends: false,
-        meshes: CollisionMeshes::Hull,
+        meshes: &CollisionMeshes::Hull,
     };
     let mut model = RobotModel::read(&source).unwrap_or_else(|e| panic!("{}: {}", e.what, e.mend));
     // The truth knows none.

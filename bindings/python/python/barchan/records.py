@@ -22,6 +22,7 @@ __all__ = [
     "Law",
     "Link",
     "Particles",
+    "Patch",
     "Plan",
     "Robot",
     "RobotArrays",
@@ -150,11 +151,17 @@ class Wrench:
 
 @dataclass(frozen=True, eq=False)
 class Link:
-    """What a link of a robot feels."""
+    """How a link of a robot moves, and what it feels."""
 
     name: str
     position: NDArray[np.float64]
     """Centre of mass [m], (3,)."""
+    rotation: NDArray[np.float64]
+    """Orientation quaternion (w, x, y, z), (4,)."""
+    velocity: NDArray[np.float64]
+    """Velocity of the centre of mass [m/s], (3,)."""
+    angular_velocity: NDArray[np.float64]
+    """Angular velocity [rad/s], (3,)."""
     ground: Wrench
     """What the soft ground does to it, the mean over the last step."""
     felt: Wrench
@@ -163,6 +170,20 @@ class Link:
     """Where it touched what is rigid in the last step [m], (k, 3)."""
     contact_forces: NDArray[np.float64]
     """Mean force on the link at each of these points [N], (k, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Patch:
+    """Where a link is touched."""
+
+    points: int
+    """How many particles and points of rigid contact touch it."""
+    low: NDArray[np.float64]
+    """Least corner of the box that holds them [m], (3,)."""
+    high: NDArray[np.float64]
+    """Greatest corner of that box [m], (3,)."""
+    centre_of_pressure: NDArray[np.float64]
+    """Where the whole force goes through: where its line comes nearest to their middle [m], (3,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -240,6 +261,12 @@ class RobotArrays:
     """Torque [N m] or force [N] that its motor gives as it is now, by what it was told last, (w, joints): after a step, that of the step."""
     link_position: NDArray[np.float64]
     """Centre of mass of each link [m], (w, links, 3)."""
+    link_rotation: NDArray[np.float64]
+    """Its orientation quaternion (w, x, y, z), (w, links, 4)."""
+    link_velocity: NDArray[np.float64]
+    """Velocity of its centre of mass [m/s], (w, links, 3)."""
+    link_angular_velocity: NDArray[np.float64]
+    """Its angular velocity [rad/s], (w, links, 3)."""
     ground_force: NDArray[np.float64]
     """Mean force of the soft ground on it over the last step [N], (w, links, 3)."""
     ground_torque: NDArray[np.float64]

@@ -391,21 +391,26 @@ fn a_bucket_is_hollow_if_its_mesh_is_exact() {
         "{warning}"
     );
     assert_eq!(warned(whole, exact), None);
+    assert_eq!(warned(whole, "collision_meshes = { exact_links = [\"buck*\"] }"), None);
+    let other = Robots::new(&scene(whole, "collision_meshes = { exact_links = [\"cup\"] }", "")).map(drop).unwrap_err();
+    assert!(["'cup'", "bucket"].iter().all(|part| other.to_string().contains(part)), "{other}");
     assert_eq!(warned("filename='bucket.obj' scale='1 -1 1'", exact), None, "mirrored, it is still closed");
     assert_eq!(warned("filename='holed.obj'", ""), None, "what a mesh with a hole holds is not known");
     let refused = Robots::new(&scene("filename='holed.obj'", exact, "")).map(drop).unwrap_err().to_string();
     assert!(["r.urdf:4", "holed.obj", "not closed"].iter().all(|part| refused.contains(part)), "{refused}");
 
+    let by_name = "collision_meshes = { exact_links = [\"bucket\"] }";
     let (bottom, rim) = (0.14, 0.3);
     let ball = "[[tool]]\nname = \"ball\"\nshape = { sphere = { radius = 0.05 } }\nposition = [0.3, 0.3, 0.4]\nmotion = { free = { mass = 0.5 } }";
     let sand = "[[material]]\nname = \"sand\"\nlaw = \"sand\"\ndensity = 1600\nparameters = { young_modulus = 2e5, poisson_ratio = 0.3, friction_angle = 0.6 }\n[[body]]\nname = \"sand\"\nmaterial = \"sand\"\nshape = { box = { min = [0.22, 0.22, 0.34], max = [0.38, 0.38, 0.42] } }";
-    for (meshes, floor) in [("", rim), (exact, bottom)] {
+    for (meshes, floor) in [("", rim), (exact, bottom), (by_name, bottom)] {
         let mut all = Bare::new(&scene(whole, meshes, ball));
         all.go(2000, 5e-4);
         let height = all.body("ball").position[2];
         println!("{meshes:?}: the ball lies at {height:.4} m");
         assert!((height - floor - 0.05).abs() < 2e-3, "{meshes:?}: the ball's middle is at {height}");
-        for options in everywhere() {
+        // A name says whose meshes are meant, and no more.
+        for options in everywhere().into_iter().filter(|_| meshes != by_name) {
             let mut s = Simulation::new(&barchan::registry(), &scene(whole, meshes, sand), &options).unwrap();
             run_to(&mut s, 0.5);
             let rows = rows(&s);
