@@ -47,6 +47,41 @@ def test_stable_baselines_learns_in_worlds_of_one_simulation():
     PPO("MlpPolicy", worlds, n_steps=8, batch_size=12, device="cpu").learn(24)
 
 
+def test_stable_baselines_learns_a_task_of_ones_own():
+    import gymnasium
+    from stable_baselines3 import PPO
+
+    from barchan.envs import SceneVectorEnv
+    from barchan.sb3 import Worlds
+
+    class Press(SceneVectorEnv):
+        def act(self, actions):
+            self.simulation.act("ball", linear=np.pad(actions, ((0, 0), (2, 0))))
+
+        def observe(self):
+            return self.simulation.body_arrays("ball").position[:, 2:]
+
+        def reward(self, actions):
+            return -actions[:, 0]
+
+    box = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+    scene = {
+        "name": "press",
+        "world": {"cell": 0.1, "min": [0, 0, 0], "max": [0.8, 0.8, 0.8]},
+        "time": {"end": 1.0},
+        "material": [{"name": "snow", "law": "snow", "density": 400.0}],
+        "body": [{"material": "snow", "shape": {"box": {"min": [0.2, 0.2, 0], "max": [0.6, 0.6, 0.4]}}}],
+        "tool": [{"name": "ball", "shape": {"sphere": {"radius": 0.1}}, "position": [0.4, 0.4, 0.6], "motion": {"velocity": {}}}],
+    }
+    options = {"interval": 0.005, "max_episode_steps": 4, "action_space": box, "observation_space": box}
+    worlds = Worlds(Press(scene, 3, autoreset_mode="SameStep", **options))
+    worlds.reset()
+    for _ in range(4):
+        _, _, ended, infos = worlds.step(np.zeros((3, 1), np.float32))
+    assert ended.all() and all(info["TimeLimit.truncated"] for info in infos)
+    PPO("MlpPolicy", worlds, n_steps=8, batch_size=12, device="cpu").learn(24)
+
+
 def test_tensors_go_in_and_come_out():
     import torch
 

@@ -353,6 +353,35 @@ def test_robots_tell_joints_and_take_targets(dog):
         dog.act("dog", joint_targets=np.zeros(12), linear=[0, 0, 1])
 
 
+def test_a_robot_that_lands_says_where_its_links_are_touched(dog):
+    dog.place("dog", position=[0.0, 0.0, 0.45])
+    assert dog.patches("dog") == {}
+    dog.advance(0.4)
+    patches = dog.patches("dog", least=2.0)
+    links = dog.robots()["dog"].links
+    assert patches and set(patches) == {name for name, link in links.items() if (np.linalg.norm(link.contact_forces, axis=1) > 2.0).any()}
+    for name, patch in patches.items():
+        assert patch.points == len(links[name].contact_points) and (patch.low <= patch.high).all()
+        assert (patch.low <= patch.centre_of_pressure).all() and (patch.centre_of_pressure <= patch.high).all()
+        assert abs(patch.centre_of_pressure[2]) < 0.01, "the floor is at 0"
+    with pytest.raises(barchan.BodyError, match="there are dog"):
+        dog.patches("cat")
+
+
+def test_some_worlds_go_on_while_others_wait(press, same):
+    worlds = barchan.Simulation(press, worlds=3, seed=5)
+    worlds.advance(0.004, worlds=[0, 2])
+    worlds.advance(0.004, worlds=2)
+    worlds.advance(0.004, worlds=[])
+    np.testing.assert_allclose(worlds.times, [0.004, 0.0, 0.008])
+    alone = barchan.Simulation(press, seed=7)
+    alone.advance(0.004)
+    alone.advance(0.004)
+    assert same(worlds, alone, a_world=2)
+    with pytest.raises(IndexError, match="3"):
+        worlds.advance(0.1, worlds=[3])
+
+
 def test_arrays_of_all_worlds_hold_what_each_world_tells(dog, press, tmp_path):
     (tmp_path / "fall.toml").write_text(dog.scene())
     worlds = barchan.Simulation(tmp_path / "fall.toml", worlds=3)
@@ -367,7 +396,10 @@ def test_arrays_of_all_worlds_hold_what_each_world_tells(dog, press, tmp_path):
         for name in ("position", "rotation", "velocity", "angular_velocity", "specific_force", "projected_gravity", "joint_position", "joint_rate", "joint_torque"):
             np.testing.assert_array_equal(getattr(arrays, name)[world], getattr(robot, name))
         for link, one in enumerate(robot.links.values()):
-            np.testing.assert_array_equal(arrays.link_position[world, link], one.position)
+            body = worlds.bodies(world=world)[one.name]
+            for name in ("position", "rotation", "velocity", "angular_velocity"):
+                np.testing.assert_array_equal(getattr(one, name), getattr(body, name))
+                np.testing.assert_array_equal(getattr(arrays, f"link_{name}")[world, link], getattr(one, name))
             np.testing.assert_array_equal(arrays.ground_force[world, link], one.ground.force)
             np.testing.assert_array_equal(arrays.ground_torque[world, link], one.ground.torque)
             np.testing.assert_array_equal(arrays.felt_force[world, link], one.felt.force)

@@ -475,7 +475,11 @@ impl<'a> Reader<'a> {
         let fault = |refusal: Refusal| self.fault(kind, &refusal.what, &refusal.mend);
         let triangles = Triangles::read(&file, self.mesh_scale(kind)?).map_err(fault)?;
         let is_exact = self.source.meshes.are_exact(link);
-        let mesh = if is_exact { triangles.mesh() } else { triangles.hull() }.map_err(fault)?;
+        let hulled = |refusal: Refusal| Refusal {
+            mend: format!("{}; or take its convex hull: leave '{link}' out of collision_meshes", refusal.mend),
+            ..refusal
+        };
+        let mesh = if is_exact { triangles.mesh().map_err(hulled) } else { triangles.hull() }.map_err(fault)?;
         // What a mesh with holes holds, nobody can tell.
         let own = if is_exact { None } else { triangles.mesh().ok() };
         let share = own.map_or(1.0, |own| Filling::of_mesh(&mesh).volume / Filling::of_mesh(&own).volume);

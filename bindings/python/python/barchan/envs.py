@@ -8,6 +8,7 @@ Importing this module registers all of them, each by its name: `gym.make("barcha
 - An episode is truncated at the task's horizon. It starts from the seed of `reset(seed=...)`. A `reset()` without one draws a new seed if seeds change what the task is
   (`randomise`), and else begins the same episode again, which is much faster.
 - Keyword arguments that are not known here are the task's own parameters, such as `randomise=1.0`.
+- A task of your own is a class in Python: `SceneVectorEnv`.
 """
 
 from __future__ import annotations
@@ -19,18 +20,26 @@ import numpy as np
 from numpy.typing import NDArray
 
 from barchan._core import Environment, registry, task
+from barchan._vector import (
+    Step,
+    WorldsVectorEnv,
+    as_tensor,
+    check_count,
+    check_render_mode,
+    checked_actions,
+    checked_seeds,
+    refuse_pickle,
+    reset_needed,
+    torch_device,
+)
 from barchan.errors import BodyError, DisplayError
+from barchan.own import OneWorldEnv, SceneVectorEnv
 
-try:
-    import gymnasium
-    from gymnasium.envs.registration import register
-    from gymnasium.utils import seeding
-    from gymnasium.vector import AutoresetMode, VectorEnv
-    from gymnasium.vector.utils import batch_space
-except ImportError as error:
-    raise ImportError("gymnasium 1.0 or newer is missing: pip install 'barchan[gym]'") from error
+import gymnasium
+from gymnasium.envs.registration import register
+from gymnasium.vector import AutoresetMode
 
-__all__ = ["TaskEnv", "TaskVectorEnv", "register_tasks"]
+__all__ = ["OneWorldEnv", "SceneVectorEnv", "TaskEnv", "TaskVectorEnv", "register_tasks"]
 
 
 class _Played:
@@ -47,7 +56,6 @@ class _Played:
         threads: int,
         units: bool,
         residual: float | None,
-        torch: bool | str,
         failures: Literal["raise", "end"],
     ) -> None:
         self.task = task(task_name, parameters)
@@ -60,7 +68,6 @@ class _Played:
         self._half = 0.5 * (self.task.action_high - self.task.action_low)
         self._units = units
         self._residual = residual
-        self._torch = _torch_device(torch)
         if residual is not None and not (0.0 < residual <= 1.0 and not units):
             raise ValueError(f"residual: {residual} is no share of the limits; give a number from 0 to 1, and no units=True")
         low, high = (self.task.action_low, self.task.action_high) if units else (-np.ones_like(self._half), np.ones_like(self._half))
@@ -81,7 +88,7 @@ class _Played:
 
     def running(self) -> Environment:
         if self.worlds is None:
-            raise gymnasium.error.ResetNeeded("call reset() first: there is no episode yet")
+            raise reset_needed()
         return self.worlds
 
     def step(self, actions: Any, count: int | None, waiting: NDArray[np.bool_] | None = None) -> Any:
@@ -99,22 +106,9 @@ class _Played:
 
     def checked(self, actions: Any, count: int | None) -> NDArray[np.float64]:
         """Actions as numbers, a row for each world."""
-        if hasattr(actions, "detach"):
-            actions = actions.detach().cpu().numpy()
-        given = np.asarray(actions)
-        if given.dtype.kind not in "fiu":
-            raise TypeError(f"action: its dtype is {given.dtype}; give numbers, float32 for example")
         names = self.task.action_names
         shape = (len(names),) if count is None else (count, len(names))
-        if given.shape != shape:
-            raise BodyError(f"action: its shape is {given.shape}; give {shape}: {', '.join(names)}")
-        given = given.astype(np.float64).reshape(-1, len(names))
-        if not np.isfinite(given).all():
-            world, number = np.argwhere(~np.isfinite(given))[0]
-            where = "" if count is None else f"world {world}: "
-            low, high = (self.task.action_low[number], self.task.action_high[number]) if self._units else (-1, 1)
-            raise BodyError(f"action: {where}{names[number]} is {given[world, number]}; give a number from {low} to {high}")
-        return given
+        return checked_actions(actions, shape, names, self._low, self._high).reshape(-1, len(names))
 
     def heuristic_in_units(self) -> NDArray[np.float64]:
         actions = self.running().heuristic()
@@ -131,19 +125,9 @@ class _Played:
             actions = np.clip((actions - self._middle) / np.where(self._half > 0.0, self._half, 1.0), -1.0, 1.0)
         return actions.astype(np.float32)
 
-    def out(self, array: Any) -> Any:
-        """An array as the user wants it."""
-        return array if self._torch is None else _as_tensor(array, self._torch)
-
     def next_seed(self, before: int, random: np.random.Generator) -> int:
         """Seed of an episode for which none is given."""
         return int(random.integers(2**31)) if self.task.ranges or before < 0 else before
-
-    def refuse_pickle(self) -> None:
-        if self.worlds is not None:
-            raise TypeError(
-                "an environment that has begun cannot be pickled or copied; do so before its first reset(), or make one in the process that needs it"
-            )
 
 
 class TaskEnv(gymnasium.Env):
@@ -186,7 +170,7 @@ class TaskEnv(gymnasium.Env):
         failures: Literal["raise", "end"] = "raise",
         **parameters: Any,
     ) -> None:
-        _check_render_mode(render_mode, self.metadata["render_modes"])
+        check_render_mode(render_mode, self.metadata["render_modes"])
         self._played = _Played(
             task,
             parameters,
@@ -196,13 +180,13 @@ class TaskEnv(gymnasium.Env):
             threads=threads,
             units=units,
             residual=residual,
-            torch=torch,
             failures=failures,
         )
         self.task = self._played.task
         self.render_mode = render_mode
         self.action_space = self._played.space()
         self.observation_space = self._played.observation_space()
+        self._torch = torch_device(torch)
         self._seed = -1
         self._window: _Window | None = None
         fps = min(60.0, 1.0 / self.task.interval)
@@ -214,19 +198,19 @@ class TaskEnv(gymnasium.Env):
         return self._played.running()
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        [seed] = _checked_seeds([seed])
+        [seed] = checked_seeds([seed])
         super().reset(seed=seed)
         own = seed if seed is not None else self._played.next_seed(self._seed, self.np_random)
         observations = self._played.begin([own])
         self._seed = own
         self._show()
-        return self._played.out(observations[0]), {"seed": self._seed}
+        return self._out(observations[0]), {"seed": self._seed}
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         observations, rewards, terminated, truncated, success, info = self._played.step(action, None)
         self._show()
         said = {name: values[0].item() for name, values in info.items()} | {"success": bool(success[0])}
-        return self._played.out(observations[0]), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), said
+        return self._out(observations[0]), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), said
 
     def heuristic(self) -> NDArray[np.float32]:
         """The action of the task's hand-written agent now."""
@@ -249,6 +233,9 @@ class TaskEnv(gymnasium.Env):
             self._window = None
         self._played.worlds = None
 
+    def _out(self, observation: NDArray[np.float32]) -> Any:
+        return observation if self._torch is None else as_tensor(observation, self._torch)
+
     def _show(self) -> None:
         if self.render_mode != "human":
             return
@@ -257,11 +244,11 @@ class TaskEnv(gymnasium.Env):
         self._window.show(self.worlds.render())
 
     def __getstate__(self) -> dict[str, Any]:
-        self._played.refuse_pickle()
+        refuse_pickle(self._played.worlds is not None)
         return self.__dict__
 
 
-class TaskVectorEnv(VectorEnv):
+class TaskVectorEnv(WorldsVectorEnv):
     """Worlds of a task as environments of one simulation: see the module's description, and `TaskEnv` for other parameters.
 
     Parameters
@@ -276,8 +263,6 @@ class TaskVectorEnv(VectorEnv):
     max_episode_steps
         Truncates episodes before the task's horizon.
     """
-
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 30, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
     def __init__(
         self,
@@ -297,11 +282,8 @@ class TaskVectorEnv(VectorEnv):
         failures: Literal["raise", "end"] = "raise",
         **parameters: Any,
     ) -> None:
-        _check_render_mode(render_mode, self.metadata["render_modes"])
-        for name, count in (("num_envs", num_envs), ("max_episode_steps", max_episode_steps)):
-            if count is not None and not (isinstance(count, (int, np.integer)) and count >= 1):
-                raise ValueError(f"{name}: {count!r} is none; give a whole number from 1 on")
-        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        if max_episode_steps is not None:
+            check_count("max_episode_steps", max_episode_steps)
         self._played = _Played(
             task,
             parameters,
@@ -311,123 +293,20 @@ class TaskVectorEnv(VectorEnv):
             threads=threads,
             units=units,
             residual=residual,
-            torch=torch,
             failures=failures,
         )
         self.task = self._played.task
-        self.num_envs = num_envs
-        self.render_mode = render_mode
-        self.single_action_space = self._played.space()
-        self.single_observation_space = self._played.observation_space()
-        self.action_space = batch_space(self.single_action_space, num_envs)
-        self.observation_space = batch_space(self.single_observation_space, num_envs)
-        self.max_episode_steps = self.task.horizon if max_episode_steps is None else min(max_episode_steps, self.task.horizon)
-        self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
-        # Steps after which the episode in each world is truncated.
-        self._most = np.full(num_envs, self.max_episode_steps, np.int64)
-        self._seeds = np.full(num_envs, -1, np.int64)
-        self._random: list[np.random.Generator | None] = [None] * num_envs
-        self._drawn_from = [-1] * num_envs
-        self._ended = np.zeros(num_envs, np.bool_)
-        self._terminated = np.zeros(num_envs, np.bool_)
+        horizon = self.task.horizon if max_episode_steps is None else min(max_episode_steps, self.task.horizon)
+        super().__init__(num_envs, self._played.space(), self._played.observation_space(), horizon, render_mode, autoreset_mode, torch)
 
     @property
     def worlds(self) -> Environment:
         """The simulated worlds, a `barchan.Environment`; there are none before the first reset."""
         return self._played.running()
 
-    def reset(
-        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Begins new episodes: world w with seed + w, or with the seed of a list; in all worlds, or in those of `options["reset_mask"]`, an array of bool.
-
-        `options["stagger"] = True` truncates these episodes early, each world's at another time, so that worlds are at different times of their episodes from then on: what is
-        seen of all of them in a few steps is then like what is seen in an episode.
-        """
-        if seed is None or isinstance(seed, (int, np.integer)):
-            [first] = _checked_seeds([seed])
-            seeds = [None if first is None else first + w for w in range(self.num_envs)]
-        else:
-            seeds = list(seed)
-        if len(seeds) != self.num_envs:
-            raise ValueError(f"seed: there are {len(seeds)} of them for {self.num_envs} worlds")
-        seeds = _checked_seeds(seeds)
-        mask = (options or {}).get("reset_mask")
-        chosen = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)
-        if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_ or not chosen.any():
-            raise ValueError(f"reset_mask: give an array of {self.num_envs} bools, one of them True at least")
-        if not chosen.all():
-            # Worlds must be there before some of them can begin anew.
-            self._played.running()
-        for world in np.flatnonzero(chosen).tolist():
-            given = seeds[world]
-            if given is not None or self._random[world] is None:
-                self._random[world], self._drawn_from[world] = seeding.np_random(given)
-            self._seeds[world] = given if given is not None else self._next_seed(world)
-        self._ended[chosen] = False
-        if chosen.all():
-            self._most[:] = self.max_episode_steps
-            observations = self._played.begin(self._seeds.tolist())
-        else:
-            observations = self._again(chosen)
-        if (options or {}).get("stagger"):
-            count = int(chosen.sum())
-            self._most[chosen] = np.maximum(self.max_episode_steps * np.arange(1, count + 1) // count, 1)
-        return self._played.out(observations), self._seed_info(chosen)
-
-    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        anew = self._ended.copy()
-        # Worlds whose episode has ended wait.
-        observations, rewards, terminated, truncated, success, told = self._played.step(actions, self.num_envs, anew)
-        truncated |= self.worlds.steps_taken >= self._most
-        info: dict[str, Any] = {}
-        present = ~anew
-        for name, values in (told | {"success": success}).items():
-            info[name], info[f"_{name}"] = values, present.copy()
-        if anew.any():
-            rewards[anew], success[anew] = 0.0, False
-            if self.autoreset_mode is AutoresetMode.DISABLED:
-                terminated[anew], truncated[anew] = self._terminated[anew], ~self._terminated[anew]
-            else:
-                self._draw(anew)
-                observations = self._again(anew)
-                terminated[anew], truncated[anew] = False, False
-                info |= self._seed_info(anew)
-        ended = terminated | truncated
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
-            last = np.full(self.num_envs, None, dtype=object)
-            for world in np.flatnonzero(ended):
-                last[world] = self._played.out(observations[world].copy())
-            final = {name: ended.copy() if name.startswith("_") else values.copy() for name, values in info.items()}
-            info = {name: values & ~ended if name.startswith("_") else values for name, values in info.items()}
-            info |= {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
-            self._draw(ended)
-            observations = self._again(ended)
-            info |= self._seed_info(ended)
-            self._ended[:] = False
-        else:
-            self._ended, self._terminated = ended, terminated.copy()
-        return self._played.out(observations), self._played.out(rewards), self._played.out(terminated), self._played.out(truncated), info
-
-    @property
-    def np_random_seed(self) -> tuple[int, ...]:
-        """The seed of each world's generator of seeds, -1 before the first reset, as `SyncVectorEnv` tells it."""
-        return tuple(self._drawn_from)
-
-    @property
-    def np_random(self) -> tuple[np.random.Generator, ...]:
-        """Each world's generator of seeds, after the first reset."""
-        return tuple(random for random in self._random if random is not None)
-
     def heuristic(self) -> NDArray[np.float32]:
         """The actions of the task's hand-written agent now."""
         return self._played.heuristic()
-
-    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """A picture of each world."""
-        if self.render_mode is None:
-            return None
-        return tuple(self.worlds.render(world) for world in range(self.num_envs))
 
     def save_episode(self, path: str | os.PathLike[str], *, world: int = 0, agent: str = "") -> None:
         """Writes what has been done in a world since its last reset, as a file for `barchan task replay`."""
@@ -436,26 +315,26 @@ class TaskVectorEnv(VectorEnv):
     def close_extras(self, **_: Any) -> None:
         self._played.worlds = None
 
-    def _next_seed(self, world: int) -> int:
-        random = self._random[world]
-        assert random is not None
-        return self._played.next_seed(int(self._seeds[world]), random)
+    def _begin(self, worlds: list[int], seeds: list[int]) -> NDArray[np.float32]:
+        if len(worlds) == self.num_envs:
+            return self._played.begin(seeds)
+        return self.worlds.reset(worlds, seeds)
 
-    def _draw(self, chosen: NDArray[np.bool_]) -> None:
-        for world in np.flatnonzero(chosen).tolist():
-            self._seeds[world] = self._next_seed(world)
+    def _play(self, actions: Any, waiting: NDArray[np.bool_]) -> Step:
+        observations, rewards, terminated, truncated, success, told = self._played.step(actions, self.num_envs, waiting)
+        return observations, rewards, terminated, truncated, told | {"success": success}
 
-    def _again(self, chosen: NDArray[np.bool_]) -> NDArray[np.float32]:
-        worlds = np.flatnonzero(chosen).tolist()
-        self._most[worlds] = self.max_episode_steps
-        return self.worlds.reset(worlds, self._seeds[worlds].tolist())
+    def _taken(self) -> NDArray[np.integer[Any]]:
+        return self.worlds.steps_taken
 
-    def _seed_info(self, chosen: NDArray[np.bool_]) -> dict[str, Any]:
-        return {"seed": np.where(chosen, self._seeds, 0), "_seed": chosen.copy()}
+    def _next_seed(self, before: int, random: np.random.Generator) -> int:
+        return self._played.next_seed(before, random)
 
-    def __getstate__(self) -> dict[str, Any]:
-        self._played.refuse_pickle()
-        return self.__dict__
+    def _is_begun(self) -> bool:
+        return self._played.worlds is not None
+
+    def _picture(self, world: int) -> NDArray[np.uint8]:
+        return self.worlds.render(world)
 
 
 class _Window:
@@ -491,32 +370,6 @@ class _Window:
         if self._screen is not None:
             self._pygame.display.quit()
             self._screen = None
-
-
-def _check_render_mode(mode: str | None, known: list[str]) -> None:
-    if mode is not None and mode not in known:
-        raise ValueError(f"render_mode: {mode!r} is none of {', '.join(map(repr, known))}, None")
-
-
-def _checked_seeds(seeds: list[Any]) -> list[int | None]:
-    for seed in seeds:
-        is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
-        if seed is not None and not (is_whole and 0 <= seed < 2**63):
-            raise ValueError(f"seed: {seed!r} is none; give whole numbers from 0 to 2^63 - 1")
-    # Gymnasium takes no whole numbers of NumPy's.
-    return [None if seed is None else int(seed) for seed in seeds]
-
-
-def _torch_device(torch: bool | str) -> str | None:
-    return None if torch is False else "cpu" if torch is True else torch
-
-
-def _as_tensor(array: Any, device: str) -> Any:
-    try:
-        import torch
-    except ImportError as error:
-        raise gymnasium.error.DependencyNotInstalled("torch is missing: pip install torch, or leave torch=True out") from error
-    return torch.as_tensor(np.ascontiguousarray(array), device=device)
 
 
 def register_tasks() -> None:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from barchan.envs import TaskVectorEnv
+from barchan._vector import WorldsVectorEnv
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -19,13 +19,13 @@ __all__ = ["Worlds"]
 
 
 class Worlds(VecEnv):
-    """What Stable-Baselines3 calls a VecEnv, of a `TaskVectorEnv` with autoreset_mode="SameStep".
+    """What Stable-Baselines3 calls a VecEnv, of a `TaskVectorEnv` or `SceneVectorEnv` with autoreset_mode="SameStep".
 
     Stable-Baselines3's own would make a simulation for each environment; here all are worlds of one. `set_options({"stagger": True})` before a reset lets episodes begin at
     different times (`TaskVectorEnv.reset`).
     """
 
-    def __init__(self, vector: TaskVectorEnv) -> None:
+    def __init__(self, vector: WorldsVectorEnv) -> None:
         if vector.autoreset_mode.value != "SameStep":
             raise ValueError(f"autoreset_mode: it is {vector.autoreset_mode.value!r}; Stable-Baselines3 needs 'SameStep'")
         self.vector = vector

@@ -1,0 +1,259 @@
+"""Episodes in worlds of one simulation, whatever is done in them: their seeds, their ends, and how they begin anew."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from barchan.errors import BodyError
+
+try:
+    import gymnasium
+    from gymnasium.utils import seeding
+    from gymnasium.vector import AutoresetMode, VectorEnv
+    from gymnasium.vector.utils import batch_space
+except ImportError as error:
+    raise ImportError("gymnasium 1.1 or newer is missing: pip install 'barchan[gym]'") from error
+
+# Observations, rewards, terminated, truncated, and numbers that are told by name: arrays with a row for each world.
+Step: TypeAlias = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, NDArray[Any]]]
+
+
+class WorldsVectorEnv(VectorEnv):
+    """Worlds of one simulation as environments. Subclasses say how episodes begin and what a control step does."""
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 30, "autoreset_mode": AutoresetMode.NEXT_STEP}
+
+    def __init__(
+        self,
+        num_envs: int,
+        action_space: gymnasium.Space[Any],
+        observation_space: gymnasium.Space[Any],
+        max_episode_steps: int,
+        render_mode: str | None,
+        autoreset_mode: AutoresetMode | str,
+        torch: bool | str,
+    ) -> None:
+        check_render_mode(render_mode, self.metadata["render_modes"])
+        check_count("num_envs", num_envs)
+        check_count("max_episode_steps", max_episode_steps)
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.num_envs = num_envs
+        self.render_mode = render_mode
+        self.single_action_space = action_space
+        self.single_observation_space = observation_space
+        self.action_space = batch_space(action_space, num_envs)
+        self.observation_space = batch_space(observation_space, num_envs)
+        self.max_episode_steps = max_episode_steps
+        self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
+        self._torch = torch_device(torch)
+        # Steps after which the episode in each world is truncated.
+        self._most = np.full(num_envs, max_episode_steps, np.int64)
+        self._seeds = np.full(num_envs, -1, np.int64)
+        self._random: list[np.random.Generator | None] = [None] * num_envs
+        self._drawn_from = [-1] * num_envs
+        self._ended = np.zeros(num_envs, np.bool_)
+        self._terminated = np.zeros(num_envs, np.bool_)
+
+    def _begin(self, worlds: list[int], seeds: list[int]) -> NDArray[Any]:
+        """New episodes in these worlds. Returns the observations of all worlds."""
+        raise NotImplementedError
+
+    def _play(self, actions: Any, waiting: NDArray[np.bool_]) -> Step:
+        """A control step of all worlds but those that wait."""
+        raise NotImplementedError
+
+    def _taken(self) -> NDArray[np.integer[Any]]:
+        """Control steps that each world's episode has taken."""
+        raise NotImplementedError
+
+    def _next_seed(self, before: int, random: np.random.Generator) -> int:
+        """Seed of an episode for which none is given."""
+        raise NotImplementedError
+
+    def _is_begun(self) -> bool:
+        """Are there worlds?"""
+        raise NotImplementedError
+
+    def _picture(self, world: int) -> NDArray[np.uint8]:
+        raise NotImplementedError
+
+    def reset(
+        self, *, seed: int | list[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begins new episodes: world w with seed + w, or with the seed of a list; in all worlds, or in those of `options["reset_mask"]`, an array of bool.
+
+        `options["stagger"] = True` truncates these episodes early, each world's at another time, so that worlds are at different times of their episodes from then on: what is
+        seen of all of them in a few steps is then like what is seen in an episode.
+        """
+        if seed is None or isinstance(seed, (int, np.integer)):
+            [first] = checked_seeds([seed])
+            seeds = [None if first is None else first + w for w in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"seed: there are {len(seeds)} of them for {self.num_envs} worlds")
+        seeds = checked_seeds(seeds)
+        mask = (options or {}).get("reset_mask")
+        chosen = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)
+        if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_ or not chosen.any():
+            raise ValueError(f"reset_mask: give an array of {self.num_envs} bools, one of them True at least")
+        if not (chosen.all() or self._is_begun()):
+            # Worlds must be there before some of them can begin anew.
+            raise reset_needed()
+        for world in np.flatnonzero(chosen).tolist():
+            given = seeds[world]
+            if given is not None or self._random[world] is None:
+                self._random[world], self._drawn_from[world] = seeding.np_random(given)
+            self._seeds[world] = given if given is not None else self._drawn(world)
+        self._ended[chosen] = False
+        observations = self._again(chosen)
+        if (options or {}).get("stagger"):
+            count = int(chosen.sum())
+            self._most[chosen] = np.maximum(self.max_episode_steps * np.arange(1, count + 1) // count, 1)
+        return self._out(observations), self._seed_info(chosen)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        if not self._is_begun():
+            raise reset_needed()
+        anew = self._ended.copy()
+        # Worlds whose episode has ended wait.
+        observations, rewards, terminated, truncated, told = self._play(actions, anew)
+        truncated |= self._taken() >= self._most
+        info: dict[str, Any] = {}
+        present = ~anew
+        for name, values in told.items():
+            info[name], info[f"_{name}"] = values, present.copy()
+        if anew.any():
+            rewards[anew] = 0.0
+            if "success" in told:
+                told["success"][anew] = False
+            if self.autoreset_mode is AutoresetMode.DISABLED:
+                terminated[anew], truncated[anew] = self._terminated[anew], ~self._terminated[anew]
+            else:
+                self._draw(anew)
+                observations = self._again(anew)
+                terminated[anew], truncated[anew] = False, False
+                info |= self._seed_info(anew)
+        ended = terminated | truncated
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
+            last = np.full(self.num_envs, None, dtype=object)
+            for world in np.flatnonzero(ended):
+                last[world] = self._out(observations[world].copy())
+            final = {name: ended.copy() if name.startswith("_") else values.copy() for name, values in info.items()}
+            info = {name: values & ~ended if name.startswith("_") else values for name, values in info.items()}
+            info |= {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
+            self._draw(ended)
+            observations = self._again(ended)
+            info |= self._seed_info(ended)
+            self._ended[:] = False
+        else:
+            self._ended, self._terminated = ended, terminated.copy()
+        return self._out(observations), self._out(rewards), self._out(terminated), self._out(truncated), info
+
+    @property
+    def np_random_seed(self) -> tuple[int, ...]:
+        """The seed of each world's generator of seeds, -1 before the first reset, as `SyncVectorEnv` tells it."""
+        return tuple(self._drawn_from)
+
+    @property
+    def np_random(self) -> tuple[np.random.Generator, ...]:
+        """Each world's generator of seeds, after the first reset."""
+        return tuple(random for random in self._random if random is not None)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture of each world."""
+        if self.render_mode is None:
+            return None
+        return tuple(self._picture(world) for world in range(self.num_envs))
+
+    def _drawn(self, world: int) -> int:
+        random = self._random[world]
+        assert random is not None
+        return self._next_seed(int(self._seeds[world]), random)
+
+    def _draw(self, chosen: NDArray[np.bool_]) -> None:
+        for world in np.flatnonzero(chosen).tolist():
+            self._seeds[world] = self._drawn(world)
+
+    def _again(self, chosen: NDArray[np.bool_]) -> NDArray[Any]:
+        worlds = np.flatnonzero(chosen).tolist()
+        self._most[worlds] = self.max_episode_steps
+        return self._begin(worlds, self._seeds[worlds].tolist())
+
+    def _seed_info(self, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+        return {"seed": np.where(chosen, self._seeds, 0), "_seed": chosen.copy()}
+
+    def _out(self, array: Any) -> Any:
+        """An array as the user wants it."""
+        return array if self._torch is None else as_tensor(array, self._torch)
+
+    def __getstate__(self) -> dict[str, Any]:
+        refuse_pickle(self._is_begun())
+        return self.__dict__
+
+
+def check_render_mode(mode: str | None, known: list[str]) -> None:
+    if mode is not None and mode not in known:
+        raise ValueError(f"render_mode: {mode!r} is none of {', '.join(map(repr, known))}, None")
+
+
+def check_count(name: str, count: Any) -> None:
+    if not (isinstance(count, (int, np.integer)) and count >= 1):
+        raise ValueError(f"{name}: {count!r} is none; give a whole number from 1 on")
+
+
+def checked_seeds(seeds: list[Any]) -> list[int | None]:
+    for seed in seeds:
+        is_whole = isinstance(seed, (int, np.integer)) and not isinstance(seed, bool)
+        if seed is not None and not (is_whole and 0 <= seed < 2**63):
+            raise ValueError(f"seed: {seed!r} is none; give whole numbers from 0 to 2^63 - 1")
+    # Gymnasium takes no whole numbers of NumPy's.
+    return [None if seed is None else int(seed) for seed in seeds]
+
+
+def checked_actions(
+    actions: Any, shape: tuple[int, ...], names: Sequence[str] | None, low: NDArray[Any], high: NDArray[Any]
+) -> NDArray[np.float64]:
+    """Actions as finite numbers of a shape. Each number is called by its name, or by its place without names; `low` and `high` are its limits in one world."""
+    if hasattr(actions, "detach"):
+        actions = actions.detach().cpu().numpy()
+    given = np.asarray(actions)
+    if given.dtype.kind not in "fiu":
+        raise TypeError(f"action: its dtype is {given.dtype}; give numbers, float32 for example")
+    if given.shape != shape:
+        raise BodyError(f"action: its shape is {given.shape}; give {shape}{'' if names is None else ': ' + ', '.join(names)}")
+    given = given.astype(np.float64)
+    if not np.isfinite(given).all():
+        place = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
+        own = place[given.ndim - low.ndim :]
+        where = "" if own == place else f"world {place[0]}: "
+        name = names[own[0]] if names is not None else f"number {', '.join(map(str, own))}"
+        raise BodyError(f"action: {where}{name} is {given[place]}; give a number from {low[own]:g} to {high[own]:g}")
+    return given
+
+
+def torch_device(torch: bool | str) -> str | None:
+    return None if torch is False else "cpu" if torch is True else torch
+
+
+def as_tensor(array: Any, device: str) -> Any:
+    try:
+        import torch
+    except ImportError as error:
+        raise gymnasium.error.DependencyNotInstalled("torch is missing: pip install torch, or leave torch=True out") from error
+    return torch.as_tensor(np.ascontiguousarray(array), device=device)
+
+
+def reset_needed() -> Exception:
+    return gymnasium.error.ResetNeeded("call reset() first: there is no episode yet")
+
+
+def refuse_pickle(has_begun: bool) -> None:
+    if has_begun:
+        raise TypeError(
+            "an environment that has begun cannot be pickled or copied; do so before its first reset(), or make one in the process that needs it"
+        )

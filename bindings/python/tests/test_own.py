@@ -1,0 +1,245 @@
+"""Tasks of one's own: what a subclass says is done in every world, and episodes end and begin as Gymnasium has it."""
+
+import pickle
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import gymnasium
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import barchan
+from barchan.envs import OneWorldEnv, SceneVectorEnv
+
+ROOT = Path(__file__).parents[3]
+INTERVAL = 0.004
+
+
+def scene(**world):
+    """A plate above a block of snow."""
+    return {
+        "name": "press",
+        "world": {"cell": 0.05, "min": [0, 0, 0], "max": [0.4, 0.4, 0.4], "walls": {"z_min": "stick"}} | world,
+        "time": {"end": 0.2},
+        "material": [{"name": "snow", "law": "snow", "density": 400.0}],
+        "body": [{"material": "snow", "shape": {"box": {"min": [0.1, 0.1, 0], "max": [0.3, 0.3, 0.2]}}}],
+        "tool": [
+            {"name": "plate", "shape": {"box": {"half": [0.1, 0.1, 0.02]}}, "position": [0.2, 0.2, 0.23], "motion": {"velocity": {}}},
+        ],
+    }
+
+
+class Press(SceneVectorEnv):
+    """The plate is to press."""
+
+    asked: list[str]
+
+    def __init__(self, num_envs=1, given=None, **options):
+        self.asked = []
+        super().__init__(
+            given or scene(),
+            num_envs,
+            interval=INTERVAL,
+            max_episode_steps=5,
+            action_space=gymnasium.spaces.Box(-1.0, 1.0, (1,)),
+            observation_space=gymnasium.spaces.Box(-1e6, 1e6, (2,)),
+            **options,
+        )
+
+    def act(self, actions):
+        self.asked.append("act")
+        self.simulation.act("plate", linear=np.concatenate([np.zeros((self.num_envs, 2)), 2.0 * actions], axis=1))
+
+    def observe(self):
+        self.asked.append("observe")
+        self.plate = self.simulation.body_arrays("plate")
+        return np.stack([self.plate.position[:, 2], self.plate.force[:, 2]], axis=1)
+
+    def reward(self, actions):
+        self.asked.append("reward")
+        return self.plate.force[:, 2] - actions[:, 0]
+
+    def terminated(self):
+        self.asked.append("terminated")
+        return self.plate.position[:, 2] < 0.211
+
+    def info(self):
+        self.asked.append("info")
+        return {"height": self.plate.position[:, 2]}
+
+
+class Drawn(Press):
+    """The same on snow that differs."""
+
+    def draw(self, random):
+        return {"material.snow.parameters.young_modulus": random.uniform(1e5, 2e5)}
+
+
+def seen(vector, actions, seed=0):
+    """Observations and rewards of control steps behind a reset."""
+    first, _ = vector.reset(seed=seed)
+    steps = [vector.step(np.full((vector.num_envs, 1), action, np.float32))[:2] for action in actions]
+    return np.array([first] + [step[0] for step in steps]), np.array([step[1] for step in steps])
+
+
+def test_a_control_step_is_what_a_simulation_does_by_hand():
+    observed, rewards = seen(Press(2), [-1.0, -1.0, 0.5])
+    by_hand = barchan.Simulation(scene(), worlds=2)
+    for step, action in enumerate([-1.0, -1.0, 0.5], 1):
+        by_hand.act("plate", linear=[0.0, 0.0, 2.0 * action])
+        by_hand.advance(INTERVAL)
+        plate = by_hand.body_arrays("plate")
+        assert np.array_equal(observed[step], np.stack([plate.position[:, 2], plate.force[:, 2]], axis=1).astype(np.float32))
+        assert np.array_equal(rewards[step - 1], plate.force[:, 2] - action)
+    assert rewards[1].min() > 10.0, "the plate presses the snow"
+    own = Press(1)
+    own.reset(seed=0)
+    own.asked.clear()
+    own.step([[2.0]])
+    assert own.asked == ["act", "observe", "reward", "terminated", "info"]
+
+
+def test_what_is_beyond_the_space_is_cut_off_and_counted():
+    vector = Press(2)
+    vector.reset(seed=0)
+    _, rewards, *_, info = vector.step(np.array([[-3.0], [-1.0]]))
+    assert rewards[0] == rewards[1] and info["clipped"].tolist() == [1, 0]
+    with pytest.raises(barchan.BodyError, match=r"world 1: number 0 is nan; give a number from -1 to 1"):
+        vector.step(np.array([[0.0], [np.nan]]))
+    with pytest.raises(barchan.BodyError, match=r"its shape is \(1, 1\); give \(2, 1\)"):
+        vector.step(np.zeros((1, 1)))
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+def test_episodes_end_and_begin_as_gymnasium_has_it(mode):
+    vector = Press(2, autoreset_mode=mode)
+    first, _ = vector.reset(seed=3)
+    press = np.array([[-1.0], [0.0]])
+    steps = 0
+    terminated = np.zeros(2, np.bool_)
+    while not terminated.any():
+        last, _, terminated, truncated, info = vector.step(press)
+        steps += 1
+    assert steps == 3 and terminated.tolist() == [True, False] and not truncated.any()
+    if mode == "SameStep":
+        assert np.array_equal(last[0], first[0]) and info["final_obs"][0][0] < 0.211 and info["final_info"]["height"][0] < 0.211
+        assert vector.steps_taken.tolist() == [0, 3]
+        return
+    assert last[0][0] < 0.211
+    following, rewards, terminated, truncated, info = vector.step(press)
+    assert rewards[0] == 0.0
+    if mode == "NextStep":
+        assert np.array_equal(following[0], first[0]) and not terminated[0]
+        assert vector.steps_taken.tolist() == [0, 4] and vector.simulation.times[0] == 0.0
+    else:
+        assert np.array_equal(following[0], last[0]) and terminated[0] and vector.steps_taken.tolist() == [3, 4]
+        again, _ = vector.reset(options={"reset_mask": np.array([True, False])})
+        assert np.array_equal(again[0], first[0]) and np.array_equal(again[1], following[1])
+    *_, truncated, _ = vector.step(0.0 * press)
+    assert truncated.tolist() == [False, True], "five steps are the most"
+
+
+def test_seeds_draw_scenes_and_the_same_ones_the_same():
+    press = [-1.0, -1.0]
+    vector = Drawn(3)
+    observed, _ = seen(vector, press, seed=[1, 2, 1])
+    assert observed[-1][0][1] != observed[-1][1][1]
+    again, _ = seen(vector, press, seed=[1, 2, 1])
+    assert np.array_equal(observed, again)
+    other = Drawn(3)
+    assert np.array_equal(seen(other, press, seed=[1, 2, 1])[0], observed)
+    # Without a seed new ones are drawn, since they change something.
+    _, info = vector.reset()
+    assert len(set(info["seed"].tolist()) | {1, 2}) == 4, "the first and the last world draw alike"
+    # What seeds do not change begins the same episode again.
+    assert Press(1).reset(seed=4)[1]["seed"] == 4
+    same = Press(1)
+    same.reset(seed=4)
+    assert same.reset()[1]["seed"] == 4
+
+    class Fickle(Press):
+        def draw(self, random):
+            return {"time.end": 1.0} if random.random() < 0.5 else {}
+
+    with pytest.raises(ValueError, match="draw: it gave .*; give the same keys each time"):
+        Fickle(8).reset(seed=0)
+
+
+class Rising(Press):
+    """In some worlds snow flies out of the world, which allows none to."""
+
+    def draw(self, random):
+        return {"body[0].velocity": [0.0, 0.0, random.choice([0.0, 60.0])]}
+
+
+@pytest.mark.parametrize("failures", ["raise", "end"])
+def test_a_world_that_cannot_go_on_holds_no_other_up(failures):
+    given = scene(leaving="error")
+    given["tool"] = [{"name": "plate", "shape": {"sphere": {"radius": 0.02}}, "position": [0.05, 0.05, 0.3], "motion": {"velocity": {}}}]
+    vector = Rising(4, given, failures=failures, autoreset_mode="Disabled")
+    vector.reset(seed=[0, 1, 2, 3])
+    flies = np.array([np.random.default_rng(seed).choice([0.0, 60.0]) > 0.0 for seed in range(4)])
+    assert 0 < flies.sum() < 4
+    still = np.zeros((4, 1))
+    if failures == "raise":
+        with pytest.raises(barchan.SimulationError, match="left the world"):
+            vector.step(still)
+        assert np.allclose(vector.simulation.times[~flies], INTERVAL) and (vector.simulation.times[flies] < INTERVAL).all()
+        return
+    _, rewards, terminated, _, info = vector.step(still)
+    assert np.array_equal(terminated, flies) and np.array_equal(info["failed"], flies) and not rewards[flies].any()
+    assert [why is not None and "left the world" in why for why in vector.failures] == flies.tolist()
+    *_, terminated, _, info = vector.step(still)
+    assert np.array_equal(terminated, flies) and not info["_failed"][flies].any()
+    assert np.allclose(vector.simulation.times[~flies], 2 * INTERVAL)
+
+
+def test_one_world_passes_gymnasiums_checker_and_registers():
+    gymnasium.register("Press-v0", entry_point=lambda **o: OneWorldEnv(Press(1, autoreset_mode="Disabled", **o)), vector_entry_point=Press)
+    one = gymnasium.make("Press-v0", render_mode="rgb_array").unwrapped
+    check_env(one)
+    one.reset(seed=1)
+    observation, reward, terminated, truncated, info = one.step(np.array([-1.0], np.float32))
+    assert observation.shape == (2,) and isinstance(reward, float) and info["height"] == pytest.approx(0.222) and not (terminated or truncated)
+    picture = one.render()
+    assert picture.ndim == 3 and picture.std() > 1.0
+    with pytest.raises(ValueError, match="num_envs=2.*give one with num_envs=1"):
+        OneWorldEnv(Press(2))
+    assert gymnasium.make_vec("Press-v0", num_envs=3).reset(seed=0)[0].shape == (3, 2)
+
+
+def test_what_a_subclass_returns_is_held_to_its_shapes():
+    class Flat(Press):
+        def observe(self):
+            return np.zeros(self.num_envs)
+
+    class Scalar(Press):
+        def reward(self, actions):
+            return 1.0
+
+    with pytest.raises(ValueError, match=r"observe: it returns an array of shape \(2,\); return one of \(2, 2\)"):
+        Flat(2).reset(seed=0)
+    vector = Scalar(2)
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        vector.step(np.zeros((2, 1)))
+    vector.reset(seed=0)
+    with pytest.raises(ValueError, match=r"reward: it is an array of shape \(\)"):
+        vector.step(np.zeros((2, 1)))
+    with pytest.raises(ValueError, match="interval"):
+        SceneVectorEnv(scene(), interval=0.0, max_episode_steps=1, action_space=None, observation_space=None)
+    with pytest.raises(NotImplementedError, match="SceneVectorEnv has no observe"):
+        box = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+        SceneVectorEnv(scene(), interval=0.1, max_episode_steps=1, action_space=box, observation_space=box).reset(seed=0)
+    pickle.loads(pickle.dumps(Press(2))).reset(seed=0)
+    with pytest.raises(TypeError, match="pickled"):
+        pickle.dumps(vector)
+
+
+def test_the_example_in_the_documentation_works():
+    blocks = re.findall(r"```python\n(.*?)```", (ROOT / "docs" / "environments.md").read_text(), re.DOTALL)
+    [example] = [block for block in blocks if "SceneVectorEnv" in block]
+    done = subprocess.run([sys.executable, "-W", "error", "-c", example], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
