@@ -13,12 +13,15 @@ use toml::{Table, Value};
 type Json = serde_json::Value;
 
 /// The meshes, heights and pictures that scenes name, by file.
-const FILES: [(&str, &[u8]); 6] = [
+const FILES: [(&str, &[u8]); 8] = [
     (
         "cube.obj",
         b"v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1\nf 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
     ),
     ("tetra.obj", b"v 1 1 1\nv 1 -1 -1\nv -1 1 -1\nv -1 -1 1\nf 1 2 3\nf 1 4 2\nf 1 3 4\nf 2 4 3\n"),
+    // Open at the top, with walls.
+    ("bucket.obj", b"v -0.15 -0.15 0\nv 0.15 -0.15 0\nv 0.15 0.15 0\nv -0.15 0.15 0\nv -0.15 -0.15 0.2\nv 0.15 -0.15 0.2\nv 0.15 0.15 0.2\nv -0.15 0.15 0.2\nv -0.11 -0.11 0.2\nv 0.11 -0.11 0.2\nv 0.11 0.11 0.2\nv -0.11 0.11 0.2\nv -0.11 -0.11 0.04\nv 0.11 -0.11 0.04\nv 0.11 0.11 0.04\nv -0.11 0.11 0.04\nf 4 3 2 1\nf 13 14 15 16\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\nf 5 6 10 9\nf 6 7 11 10\nf 7 8 12 11\nf 8 5 9 12\nf 9 10 14 13\nf 10 11 15 14\nf 11 12 16 15\nf 12 9 13 16\n"),
+    ("loader.urdf", LOADER),
     ("cloud.csv", b"x,y,z\n0.1,0.1,0.1\n0.3,0.2,0.1\n"),
     ("point.csv", b"0,0,0\n"),
     ("heights.csv", b"0.4,0.6,0.5\n0.7,1.0,0.6\n0.5,0.8,0.4\n"),
@@ -30,6 +33,30 @@ const FILES: [(&str, &[u8]); 6] = [
       \x00\x05\x42\x01\xc0\x6d\x5e\x78\xa0\x00\x00\x00\x00\x49\x45\x4e\x44\xae\x42\x60\x82",
     ),
 ];
+
+/// A robot with meshes: a body, an arm, and a bucket at its end.
+const LOADER: &[u8] = br#"<robot name="loader">
+  <link name="body">
+    <inertial><mass value="8"/><inertia ixx="0.1" iyy="0.1" izz="0.1" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><mesh filename="cube.obj" scale="0.2 0.15 0.1"/></geometry></collision>
+  </link>
+  <link name="arm">
+    <inertial><origin xyz="0.2 0 0"/><mass value="1"/><inertia ixx="0.01" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><origin xyz="0.2 0 0"/><geometry><box size="0.4 0.05 0.05"/></geometry></collision>
+  </link>
+  <link name="bucket">
+    <inertial><origin xyz="0 0 0.08"/><mass value="2"/><inertia ixx="0.03" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><mesh filename="bucket.obj"/></geometry></collision>
+    <collision><origin xyz="0.17 0 0.1"/><geometry><mesh filename="tetra.obj" scale="0.04 -0.04 0.04"/></geometry></collision>
+  </link>
+  <joint name="lift" type="revolute">
+    <parent link="body"/><child link="arm"/><origin xyz="0.2 0 0.05"/><axis xyz="0 1 0"/><limit lower="-1" upper="1" effort="200" velocity="5"/>
+  </joint>
+  <joint name="tilt" type="revolute">
+    <parent link="arm"/><child link="bucket"/><origin xyz="0.55 0 -0.1"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="50" velocity="5"/>
+  </joint>
+</robot>
+"#;
 
 /// Writes the files that scenes name into a folder.
 ///
@@ -611,13 +638,22 @@ fn entries<'a>(scene: &'a mut Table, list: &str) -> impl Iterator<Item = &'a mut
     scene.get_mut(list).and_then(Value::as_array_mut).into_iter().flatten().filter_map(Value::as_table_mut)
 }
 
-/// A robot that comes with the program, somewhere in the world: as such it is a metre high, and the world is of any size.
+/// A robot that comes with the program, or one with meshes, somewhere in the world: as such it is a metre high, and the world is of any size.
 fn robot(frame: &mut Frame, name: &str) -> Table {
     let mut robot = Table::new();
-    let model = frame.pick(&["quadruped", "humanoid", "arm", "arm-rod", "arm-shovel", "arm-scraper"]);
+    let model = frame.pick(&["quadruped", "humanoid", "arm", "arm-rod", "arm-shovel", "arm-scraper", "loader"]);
     let mut set = |key: &str, value: Value| drop(robot.insert(key.to_owned(), value));
     set("name", Value::String(name.to_owned()));
-    set("model", Value::String(model.to_owned()));
+    if model == "loader" {
+        set("urdf", Value::String("loader.urdf".to_owned()));
+        let links =
+            Table::from_iter([("exact_links".to_owned(), Value::Array(vec![Value::String("buck*".to_owned())]))]);
+        let meshes =
+            ["hull", "exact"].map(|all| Value::String(all.to_owned())).into_iter().chain([Value::Table(links)]);
+        set("collision_meshes", frame.pick(&meshes.collect::<Vec<_>>()));
+    } else {
+        set("model", Value::String(model.to_owned()));
+    }
     set("position", floats(frame.point(5.0)));
     let turn = frame.between(-0.5, 0.5);
     set("rotation", floats([turn.cos(), 0.0, 0.0, turn.sin()]));

@@ -332,11 +332,11 @@ impl World {
         if !self.spoilt {
             self.measure_stiffness(lists)?;
         }
-        // Without a phase, they lie as a sort would put them.
+        // Without a phase, they lie as a sort would put them, but nobody has looked yet who of them is outside the world: a sort is due.
         for (l, level) in self.levels.iter_mut().enumerate() {
             let drift = |sort: &SortPhase| sort.drift.get(l).map_or(MAX_DRIFT as f32, |drift| *drift as f32);
-            level.since_sort =
-                sort.map_or_else(SinceSort::default, |sort| SinceSort { age: sort.age, drift: drift(sort) });
+            let unseen = SinceSort { age: 0, drift: MAX_DRIFT as f32 };
+            level.since_sort = sort.map_or(unseen, |sort| SinceSort { age: sort.age, drift: drift(sort) });
         }
         if let Some(sort) = sort {
             for bound in [&mut self.needed, &mut self.asked].into_iter().filter(|bound| bound.dt.is_finite()) {

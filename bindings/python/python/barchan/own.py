@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from barchan._core import Simulation, View
+from barchan._core import Simulation, State, View
 from barchan._vector import Step, WorldsVectorEnv, checked_actions, reset_needed
 from barchan.errors import BodyError, SimulationError
 
@@ -94,8 +94,8 @@ class SceneVectorEnv(WorldsVectorEnv):
         self._options: dict[str, Any] = {"backend": backend, "precision": precision, "adapter": adapter, "threads": threads}
         self._ends = failures == "end"
         self._simulation: Simulation | None = None
-        # The start of the only world, if each of its episodes has the same one.
-        self._start: Any = None
+        # Where all episodes begin, if all begin alike.
+        self._start: State | None = None
         self._generators: list[np.random.Generator] = [np.random.default_rng(0)] * num_envs
         self._changed: frozenset[str] | None = None
         self._views: dict[int, View] = {}
@@ -122,7 +122,10 @@ class SceneVectorEnv(WorldsVectorEnv):
     # What a subclass says.
 
     def draw(self, random: np.random.Generator) -> dict[str, Any]:
-        """What differs in a new episode's scene: overrides, the same keys each time. Scenes with other ground are seeded anew; the others begin with a copy."""
+        """What differs in a new episode's scene: overrides, the same keys each time.
+
+        Without it worlds begin alike, with a copy. With it scenes are seeded anew, world w's with the scene's random seed plus w, unless this gives one (`"seed"`).
+        """
         return {}
 
     def begin(self, worlds: list[int]) -> None:
@@ -165,10 +168,12 @@ class SceneVectorEnv(WorldsVectorEnv):
                 raise ValueError(f"overrides: there are {len(each)} of them for {self.num_envs} worlds")
             overrides = [before | more for before, more in zip(each, drawn, strict=True)]
             self._simulation = Simulation(self._scene, worlds=self.num_envs, overrides=overrides, **self._options)
-            if self.num_envs == 1 and not self._changed:
+            if isinstance(own, dict) and not self._changed:
                 self._start = self._simulation.state()
+                self._simulation.restore(self._start)
         elif self._start is not None:
-            self._simulation.restore(self._start)
+            # Nothing is seeded then.
+            self._simulation.restore(self._start, worlds=worlds)
         else:
             self._simulation.reset(worlds, overrides=drawn if self._changed else None)
         if len(worlds) == self.num_envs:
