@@ -58,8 +58,8 @@ def test_stable_baselines_learns_a_task_of_ones_own():
         def act(self, actions):
             self.simulation.act("ball", linear=np.pad(actions, ((0, 0), (2, 0))))
 
-        def observe(self):
-            return self.simulation.body_arrays("ball").position[:, 2:]
+        def observe(self, worlds):
+            return self.simulation.body_arrays("ball", worlds=worlds).position[:, 2:]
 
         def reward(self, actions):
             return -actions[:, 0]

@@ -53,9 +53,9 @@ class Press(SceneVectorEnv):
         self.asked.append("act")
         self.simulation.act("plate", linear=np.concatenate([np.zeros((self.num_envs, 2)), 2.0 * actions], axis=1))
 
-    def observe(self):
+    def observe(self, worlds):
         self.asked.append("observe")
-        self.plate = self.simulation.body_arrays("plate")
+        self.plate = self.simulation.body_arrays("plate", worlds=worlds)
         return np.stack([self.plate.position[:, 2], self.plate.force[:, 2]], axis=1)
 
     def reward(self, actions):
@@ -74,7 +74,7 @@ class Press(SceneVectorEnv):
 class Drawn(Press):
     """The same on snow that differs."""
 
-    def draw(self, random):
+    def draw(self, random, world):
         return {"material.snow.parameters.young_modulus": random.uniform(1e5, 2e5)}
 
 
@@ -163,7 +163,7 @@ def test_seeds_draw_scenes_and_the_same_ones_the_same():
     assert same.reset()[1]["seed"] == 4
 
     class Fickle(Press):
-        def draw(self, random):
+        def draw(self, random, world):
             return {"time.end": 1.0} if random.random() < 0.5 else {}
 
     with pytest.raises(ValueError, match="draw: it gave .*; give the same keys each time"):
@@ -173,7 +173,7 @@ def test_seeds_draw_scenes_and_the_same_ones_the_same():
 class Rising(Press):
     """In some worlds snow flies out of the world, which allows none to."""
 
-    def draw(self, random):
+    def draw(self, random, world):
         return {"body[0].velocity": [0.0, 0.0, random.choice([0.0, 60.0])]}
 
 
@@ -213,16 +213,125 @@ def test_one_world_passes_gymnasiums_checker_and_registers():
     assert gymnasium.make_vec("Press-v0", num_envs=3).reset(seed=0)[0].shape == (3, 2)
 
 
+class Noisy(Drawn):
+    """What is seen has noise, and a difference to what was seen before."""
+
+    def __init__(self, num_envs=1, **options):
+        self.before = np.zeros((num_envs, 2))
+        super().__init__(num_envs, **options)
+
+    def begin(self, worlds):
+        self.before[worlds] = 0.0
+
+    def observe(self, worlds):
+        seen = super().observe(worlds)
+        seen += [self.random(world).normal(size=2) for world in worlds]
+        change = seen - self.before[worlds]
+        self.before[worlds] = seen
+        return change
+
+    def terminated(self):
+        return np.array([self.random(world).random() < 0.3 for world in range(self.num_envs)])
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep"])
+def test_worlds_are_what_they_are_alone_whenever_others_begin_anew(mode):
+    vector = Noisy(3, autoreset_mode=mode)
+    alone = [Noisy(1, autoreset_mode=mode) for _ in range(3)]
+    observed = [vector.reset(seed=5)[0]] + [vector.step(np.full((3, 1), -0.5))[0] for _ in range(8)]
+    for world, one in enumerate(alone):
+        own = [one.reset(seed=5 + world)[0]] + [one.step([[-0.5]])[0] for _ in range(8)]
+        assert np.array_equal(np.array(observed)[:, world], np.array(own)[:, 0])
+    # Noise alone is reason enough for a new seed.
+    assert len({Noisy(1).reset(seed=None)[1]["seed"][0] for _ in range(2)} | {vector.reset()[1]["seed"][0] for _ in range(2)}) == 4
+
+
+def test_episodes_that_an_exception_has_broken_off_have_to_be_reset():
+    class Breaking(Press):
+        at = ""
+
+        def begin(self, worlds):
+            if self.at == "begin":
+                raise RuntimeError(self.at)
+
+        def reward(self, actions):
+            if self.at == "reward":
+                raise KeyboardInterrupt
+            return super().reward(actions)
+
+    vector = Breaking(3)
+    first, _ = vector.reset(seed=0)
+    still = np.zeros((3, 1))
+    with pytest.raises(barchan.BodyError):
+        vector.step(still + np.nan)
+    vector.step(still)
+    vector.at = "reward"
+    with pytest.raises(KeyboardInterrupt):
+        vector.step(still)
+    vector.at = ""
+    with pytest.raises(ValueError, match="worlds 0, 1, 2: a control step or a reset was interrupted half way; reset"):
+        vector.step(still)
+    vector.reset(options={"reset_mask": np.array([True, False, True])})
+    with pytest.raises(ValueError, match="worlds 1: "):
+        vector.step(still)
+    assert np.array_equal(vector.reset()[0], first)
+    vector.at = "begin"
+    with pytest.raises(RuntimeError):
+        vector.reset(options={"reset_mask": np.array([False, False, True])})
+    with pytest.raises(ValueError, match="worlds 2: "):
+        vector.step(still)
+
+
+def test_commands_within_a_step_options_and_whole_numbers():
+    class Stepped(Press):
+        def begin(self, worlds):
+            self.given = self.options
+
+        def act(self, actions):
+            self.asked.append("act")
+            self.simulation.act("plate", linear=[0.0, 0.0, -0.1 * len(self.asked)])
+
+    vector = Stepped(1, decimation=3)
+    vector.reset(seed=0, options={"level": 3})
+    assert vector.given == {"level": 3}
+    vector.asked.clear()
+    observed, *_ = vector.step([[0.0]])
+    assert vector.asked[:3] == ["act"] * 3
+    assert observed[0, 0] == pytest.approx(0.23 - 0.1 * (1 + 2 + 3) * INTERVAL / 3, abs=1e-6)
+
+    class Whole(SceneVectorEnv):
+        def act(self, actions):
+            self.simulation.act("plate", linear=[[0.0, 0.0, 0.1 * (a - 1)] for a in actions])
+            actions[:] = 7
+
+        def observe(self, worlds):
+            return self.simulation.body_arrays("plate", worlds=worlds).velocity[:, 2:]
+
+        def reward(self, actions):
+            return actions
+
+    box = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+    whole = Whole(scene(), 3, interval=INTERVAL, max_episode_steps=9, action_space=gymnasium.spaces.Discrete(3), observation_space=box)
+    whole.reset(seed=0)
+    observed, rewards, *_ = whole.step(np.array([0, 1, 2]))
+    assert np.allclose(observed[:, 0], [-0.1, 0.0, 0.1]) and rewards.tolist() == [0, 1, 2]
+    for wrong in ([0, 1, 3], [0.0, 1.0, 2.0], [0, 1]):
+        with pytest.raises(barchan.BodyError, match="give whole numbers"):
+            whole.step(np.array(wrong))
+    with pytest.raises(ValueError, match="'reset_masks' mean nothing here; known are 'reset_mask'"):
+        barchan.envs.TaskVectorEnv("SmoothSurface-lite", 1).reset(options={"reset_masks": 1})
+
+
 def test_what_a_subclass_returns_is_held_to_its_shapes():
     class Flat(Press):
-        def observe(self):
-            return np.zeros(self.num_envs)
+        def observe(self, worlds):
+            return np.zeros(len(worlds))
 
     class Scalar(Press):
         def reward(self, actions):
             return 1.0
 
-    with pytest.raises(ValueError, match=r"observe: it returns an array of shape \(2,\); return one of \(2, 2\)"):
+    with pytest.raises(ValueError, match=r"observe: it returns an array of shape \(2,\) for worlds \[0, 1\]; return one of \(2, 2\)"):
         Flat(2).reset(seed=0)
     vector = Scalar(2)
     with pytest.raises(gymnasium.error.ResetNeeded):
@@ -230,6 +339,24 @@ def test_what_a_subclass_returns_is_held_to_its_shapes():
     vector.reset(seed=0)
     with pytest.raises(ValueError, match=r"reward: it is an array of shape \(\)"):
         vector.step(np.zeros((2, 1)))
+    for method, returned, said in [
+        ("observe", lambda worlds: np.full((len(worlds), 2), np.nan), "observe: the row of world 0 holds NaN"),
+        ("observe", lambda worlds: [["a", "b"]] * len(worlds), "observe: its dtype is <U1; return numbers"),
+        ("observe", lambda worlds: [[1.0], [1.0, 2.0]], "observe: it is no array"),
+        ("reward", lambda actions: np.array([0.0, np.inf]), "reward: world 1's is inf"),
+        ("terminated", lambda: np.array([0, 1]), "terminated: its dtype is int64; return bools"),
+        ("info", lambda: {"seed": np.zeros(2)}, "info: give a dict of arrays by names other than"),
+        ("draw", lambda random, world: None, "draw: it returns None; return a dict"),
+    ]:
+        faulty = Press(2)
+        with pytest.raises((ValueError, TypeError), match=said):
+            setattr(faulty, method, returned)
+            faulty.reset(seed=0)
+            faulty.step(np.zeros((2, 1)))
+    with pytest.raises(TypeError, match="action_space: it is a Dict"):
+        SceneVectorEnv(scene(), interval=0.1, max_episode_steps=1, action_space=gymnasium.spaces.Dict(), observation_space=None)
+    with pytest.raises(ValueError, match="overrides: give a dict, or a list of 2"):
+        Press(2, overrides=[{}])
     with pytest.raises(ValueError, match="interval"):
         SceneVectorEnv(scene(), interval=0.0, max_episode_steps=1, action_space=None, observation_space=None)
     with pytest.raises(NotImplementedError, match="SceneVectorEnv has no observe"):

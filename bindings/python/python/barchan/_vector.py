@@ -23,7 +23,10 @@ Step: TypeAlias = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], ND
 
 
 class WorldsVectorEnv(VectorEnv):
-    """Worlds of one simulation as environments. Subclasses say how episodes begin and what a control step does."""
+    """Worlds of one simulation as environments. Subclasses say how episodes begin and what a control step does.
+
+    Names of what it keeps begin with two underscores, so that those of a user's subclass are no others.
+    """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 30, "autoreset_mode": AutoresetMode.NEXT_STEP}
 
@@ -49,17 +52,18 @@ class WorldsVectorEnv(VectorEnv):
         self.observation_space = batch_space(observation_space, num_envs)
         self.max_episode_steps = max_episode_steps
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
-        self._torch = torch_device(torch)
+        self.__torch = torch_device(torch)
+        self.__seen = np.zeros((num_envs, *(observation_space.shape or ())), observation_space.dtype)
         # Steps after which the episode in each world is truncated.
-        self._most = np.full(num_envs, max_episode_steps, np.int64)
-        self._seeds = np.full(num_envs, -1, np.int64)
-        self._random: list[np.random.Generator | None] = [None] * num_envs
-        self._drawn_from = [-1] * num_envs
-        self._ended = np.zeros(num_envs, np.bool_)
-        self._terminated = np.zeros(num_envs, np.bool_)
+        self.__most = np.full(num_envs, max_episode_steps, np.int64)
+        self.__seeds = np.full(num_envs, -1, np.int64)
+        self.__random: list[np.random.Generator | None] = [None] * num_envs
+        self.__drawn_from = [-1] * num_envs
+        self.__ended = np.zeros(num_envs, np.bool_)
+        self.__terminated = np.zeros(num_envs, np.bool_)
 
-    def _begin(self, worlds: list[int], seeds: list[int]) -> NDArray[Any]:
-        """New episodes in these worlds. Returns the observations of all worlds."""
+    def _begin(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[Any]:
+        """New episodes in these worlds, for which `reset` has been given these options. Returns what is seen of them."""
         raise NotImplementedError
 
     def _play(self, actions: Any, waiting: NDArray[np.bool_]) -> Step:
@@ -77,6 +81,11 @@ class WorldsVectorEnv(VectorEnv):
     def _is_begun(self) -> bool:
         """Are there worlds?"""
         raise NotImplementedError
+
+    def _check_options(self, options: dict[str, Any]) -> None:
+        """Refuses options of `reset` that mean nothing."""
+        if options:
+            raise ValueError(f"options: {', '.join(map(repr, options))} mean nothing here; known are 'reset_mask' and 'stagger'")
 
     def _picture(self, world: int) -> NDArray[np.uint8]:
         raise NotImplementedError
@@ -98,6 +107,8 @@ class WorldsVectorEnv(VectorEnv):
             raise ValueError(f"seed: there are {len(seeds)} of them for {self.num_envs} worlds")
         seeds = checked_seeds(seeds)
         mask = (options or {}).get("reset_mask")
+        own = {name: value for name, value in (options or {}).items() if name not in ("reset_mask", "stagger")}
+        self._check_options(own)
         chosen = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)
         if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_ or not chosen.any():
             raise ValueError(f"reset_mask: give an array of {self.num_envs} bools, one of them True at least")
@@ -106,23 +117,23 @@ class WorldsVectorEnv(VectorEnv):
             raise reset_needed()
         for world in np.flatnonzero(chosen).tolist():
             given = seeds[world]
-            if given is not None or self._random[world] is None:
-                self._random[world], self._drawn_from[world] = seeding.np_random(given)
-            self._seeds[world] = given if given is not None else self._drawn(world)
-        self._ended[chosen] = False
-        observations = self._again(chosen)
+            if given is not None or self.__random[world] is None:
+                self.__random[world], self.__drawn_from[world] = seeding.np_random(given)
+            self.__seeds[world] = given if given is not None else self._drawn(world)
+        self.__ended[chosen] = False
+        self._again(chosen, own)
         if (options or {}).get("stagger"):
             count = int(chosen.sum())
-            self._most[chosen] = np.maximum(self.max_episode_steps * np.arange(1, count + 1) // count, 1)
-        return self._out(observations), self._seed_info(chosen)
+            self.__most[chosen] = np.maximum(self.max_episode_steps * np.arange(1, count + 1) // count, 1)
+        return self._out(self.__seen.copy()), self._seed_info(chosen)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         if not self._is_begun():
             raise reset_needed()
-        anew = self._ended.copy()
+        anew = self.__ended.copy()
         # Worlds whose episode has ended wait.
-        observations, rewards, terminated, truncated, told = self._play(actions, anew)
-        truncated |= self._taken() >= self._most
+        self.__seen, rewards, terminated, truncated, told = self._play(actions, anew)
+        truncated |= self._taken() >= self.__most
         info: dict[str, Any] = {}
         present = ~anew
         for name, values in told.items():
@@ -132,37 +143,37 @@ class WorldsVectorEnv(VectorEnv):
             if "success" in told:
                 told["success"][anew] = False
             if self.autoreset_mode is AutoresetMode.DISABLED:
-                terminated[anew], truncated[anew] = self._terminated[anew], ~self._terminated[anew]
+                terminated[anew], truncated[anew] = self.__terminated[anew], ~self.__terminated[anew]
             else:
                 self._draw(anew)
-                observations = self._again(anew)
+                self._again(anew, {})
                 terminated[anew], truncated[anew] = False, False
                 info |= self._seed_info(anew)
         ended = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             last = np.full(self.num_envs, None, dtype=object)
             for world in np.flatnonzero(ended):
-                last[world] = self._out(observations[world].copy())
+                last[world] = self._out(self.__seen[world].copy())
             final = {name: ended.copy() if name.startswith("_") else values.copy() for name, values in info.items()}
             info = {name: values & ~ended if name.startswith("_") else values for name, values in info.items()}
             info |= {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
             self._draw(ended)
-            observations = self._again(ended)
+            self._again(ended, {})
             info |= self._seed_info(ended)
-            self._ended[:] = False
+            self.__ended[:] = False
         else:
-            self._ended, self._terminated = ended, terminated.copy()
-        return self._out(observations), self._out(rewards), self._out(terminated), self._out(truncated), info
+            self.__ended, self.__terminated = ended, terminated.copy()
+        return self._out(self.__seen.copy()), self._out(rewards), self._out(terminated), self._out(truncated), info
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:
         """The seed of each world's generator of seeds, -1 before the first reset, as `SyncVectorEnv` tells it."""
-        return tuple(self._drawn_from)
+        return tuple(self.__drawn_from)
 
     @property
     def np_random(self) -> tuple[np.random.Generator, ...]:
         """Each world's generator of seeds, after the first reset."""
-        return tuple(random for random in self._random if random is not None)
+        return tuple(random for random in self.__random if random is not None)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture of each world."""
@@ -171,25 +182,26 @@ class WorldsVectorEnv(VectorEnv):
         return tuple(self._picture(world) for world in range(self.num_envs))
 
     def _drawn(self, world: int) -> int:
-        random = self._random[world]
+        random = self.__random[world]
         assert random is not None
-        return self._next_seed(int(self._seeds[world]), random)
+        return self._next_seed(int(self.__seeds[world]), random)
 
     def _draw(self, chosen: NDArray[np.bool_]) -> None:
         for world in np.flatnonzero(chosen).tolist():
-            self._seeds[world] = self._drawn(world)
+            self.__seeds[world] = self._drawn(world)
 
-    def _again(self, chosen: NDArray[np.bool_]) -> NDArray[Any]:
+    def _again(self, chosen: NDArray[np.bool_], options: dict[str, Any]) -> None:
+        """Begins new episodes in some worlds. What has been seen of the others stays."""
         worlds = np.flatnonzero(chosen).tolist()
-        self._most[worlds] = self.max_episode_steps
-        return self._begin(worlds, self._seeds[worlds].tolist())
+        self.__most[worlds] = self.max_episode_steps
+        self.__seen[worlds] = self._begin(worlds, self.__seeds[worlds].tolist(), options)
 
     def _seed_info(self, chosen: NDArray[np.bool_]) -> dict[str, Any]:
-        return {"seed": np.where(chosen, self._seeds, 0), "_seed": chosen.copy()}
+        return {"seed": np.where(chosen, self.__seeds, 0), "_seed": chosen.copy()}
 
     def _out(self, array: Any) -> Any:
         """An array as the user wants it."""
-        return array if self._torch is None else as_tensor(array, self._torch)
+        return array if self.__torch is None else as_tensor(array, self.__torch)
 
     def __getstate__(self) -> dict[str, Any]:
         refuse_pickle(self._is_begun())

@@ -315,10 +315,10 @@ class TaskVectorEnv(WorldsVectorEnv):
     def close_extras(self, **_: Any) -> None:
         self._played.worlds = None
 
-    def _begin(self, worlds: list[int], seeds: list[int]) -> NDArray[np.float32]:
+    def _begin(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[np.float32]:
         if len(worlds) == self.num_envs:
             return self._played.begin(seeds)
-        return self.worlds.reset(worlds, seeds)
+        return self.worlds.reset(worlds, seeds)[worlds]
 
     def _play(self, actions: Any, waiting: NDArray[np.bool_]) -> Step:
         observations, rewards, terminated, truncated, success, told = self._played.step(actions, self.num_envs, waiting)

@@ -6,6 +6,7 @@ pictures are seen to.
 
 from __future__ import annotations
 
+import copy
 import os
 from collections.abc import Sequence
 from typing import Any, Literal
@@ -14,24 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from barchan._core import Simulation, State, View
-from barchan._vector import Step, WorldsVectorEnv, checked_actions, reset_needed
+from barchan._vector import Step, WorldsVectorEnv, check_count, checked_actions, reset_needed
 from barchan.errors import BodyError, SimulationError
 
 import gymnasium
+from gymnasium import spaces
 from gymnasium.vector import AutoresetMode
 
 __all__ = ["OneWorldEnv", "SceneVectorEnv"]
 
 # Share of a control step by which the time of a world that has taken it may be off.
 _ROUNDING = 1e-6
+# What is told of every control step or episode anyway.
+_TOLD = ("clipped", "failed", "seed")
 
 
 class SceneVectorEnv(WorldsVectorEnv):
     """Worlds of a scene as environments whose task a subclass says.
 
-    In a control step `act` gives commands, all worlds go on for `interval`, and `observe`, `reward`, `terminated` and `info` are asked, in this order, once for all worlds: what
-    they take and return has a row for each. They read `self.simulation`, a `barchan.Simulation`; `robot_arrays` and `body_arrays` have a row for each world, too. An episode
-    begins with `draw`, `begin` and `observe`.
+    In a control step `act` gives commands, all worlds go on for `interval`, and `observe`, `reward`, `terminated` and `info` are asked, in this order, for all worlds: what they
+    return has a row for each. They read `self.simulation`, a `barchan.Simulation`, whose `robot_arrays` and `body_arrays` have a row for each world, too. An episode begins with
+    `draw`, `begin` and `observe`, each for the worlds that begin one.
+
+    If one of them raises, or Ctrl-C comes, the episodes are broken off: worlds take no step before they are reset.
 
     Parameters
     ----------
@@ -44,11 +50,15 @@ class SceneVectorEnv(WorldsVectorEnv):
     max_episode_steps
         Control steps after which an episode is truncated.
     action_space
-        Of one world. What lies beyond the limits of a `Box` is cut off, and `info["clipped"]` counts it.
+        Of one world: a `Box`, `Discrete`, `MultiDiscrete` or `MultiBinary`. What lies beyond the limits of a `Box` is cut off, and `info["clipped"]` counts it.
     observation_space
         A `Box`, of one world.
+    decimation
+        So many times in a control step `act` is called, each for its share of the interval: for torques that follow what joints do.
     overrides
         Changes to the scene, as for `barchan.Simulation`: a dict, or one for each world.
+    render_mode, picture
+        "rgb_array" draws the whole "page", or the "ground" without title, scales and cut.
     autoreset_mode
         "NextStep", "SameStep" or "Disabled", as for `TaskVectorEnv`.
     backend, precision, adapter, threads
@@ -56,7 +66,7 @@ class SceneVectorEnv(WorldsVectorEnv):
     torch
         What is returned are tensors of PyTorch: True, or the name of a device. Tensors are taken as actions anyway.
     failures
-        "raise" an exception if a world cannot go on, or "end" its episode with a reward of 0, `info["failed"]`, and why in `failures`.
+        "raise" an exception if a world cannot go on, or "end" its episode with a reward of 0 and `info["failed"]`. `failures` says why, either way.
     """
 
     def __init__(
@@ -66,10 +76,12 @@ class SceneVectorEnv(WorldsVectorEnv):
         *,
         interval: float,
         max_episode_steps: int,
-        action_space: gymnasium.Space[Any],
-        observation_space: gymnasium.spaces.Box,
+        action_space: spaces.Space[Any],
+        observation_space: spaces.Box,
+        decimation: int = 1,
         overrides: dict[str, Any] | Sequence[dict[str, Any]] | None = None,
         render_mode: Literal["rgb_array"] | None = None,
+        picture: Literal["page", "ground"] = "page",
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         backend: str = "cpu",
         precision: Literal["f32", "f64"] = "f32",
@@ -78,53 +90,67 @@ class SceneVectorEnv(WorldsVectorEnv):
         torch: bool | str = False,
         failures: Literal["raise", "end"] = "raise",
     ) -> None:
-        if not (np.isfinite(interval) and interval > 0.0):
-            raise ValueError(f"interval: {interval} is no time of a control step; give seconds above 0")
-        if not isinstance(observation_space, gymnasium.spaces.Box):
+        if not (isinstance(interval, (int, float, np.number)) and np.isfinite(interval) and interval > 0.0):
+            raise ValueError(f"interval: {interval!r} is no time of a control step; give seconds above 0")
+        if not isinstance(action_space, (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)):
+            raise TypeError(f"action_space: it is a {type(action_space).__name__}; give a Box, Discrete, MultiDiscrete or MultiBinary of gymnasium.spaces")
+        if not isinstance(observation_space, spaces.Box):
             raise TypeError(f"observation_space: it is a {type(observation_space).__name__}; give a gymnasium.spaces.Box")
         if failures not in ("raise", "end"):
             raise ValueError(f"failures: {failures!r} is neither 'raise' nor 'end'")
+        check_count("decimation", decimation)
         super().__init__(num_envs, action_space, observation_space, max_episode_steps, render_mode, autoreset_mode, torch)
+        each = [overrides or {}] * num_envs if isinstance(overrides, (dict, type(None))) else overrides
+        if not isinstance(each, (list, tuple)) or len(each) != num_envs or not all(isinstance(one, dict) for one in each):
+            raise ValueError(f"overrides: give a dict, or a list of {num_envs} of them, one for each world")
         self.interval = float(interval)
+        self.decimation = decimation
         self.metadata = self.metadata | {"render_fps": round(min(60.0, 1.0 / interval)) or 1}
         self.failures: list[str | None] = [None] * num_envs
-        """Why each world's last episode that failed did so, with failures="end"."""
-        self._scene = scene
-        self._overrides = overrides
-        self._options: dict[str, Any] = {"backend": backend, "precision": precision, "adapter": adapter, "threads": threads}
-        self._ends = failures == "end"
-        self._simulation: Simulation | None = None
+        """Why each world's last episode that failed did so."""
+        self.options: dict[str, Any] = {}
+        """Options of the `reset` that has begun the newest episode, but for those that are known: for `draw` and `begin`. Automatic resets have none."""
+        self.__scene = copy.deepcopy(scene)
+        self.__overrides = [dict(one) for one in each]
+        self.__is_alike = isinstance(overrides, (dict, type(None)))
+        self.__machine: dict[str, Any] = {"backend": backend, "precision": precision, "adapter": adapter, "threads": threads}
+        self.__part = picture
+        self.__ends = failures == "end"
+        self.__simulation: Simulation | None = None
         # Where all episodes begin, if all begin alike.
-        self._start: State | None = None
-        self._generators: list[np.random.Generator] = [np.random.default_rng(0)] * num_envs
-        self._changed: frozenset[str] | None = None
-        self._views: dict[int, View] = {}
-        self._steps = np.zeros(num_envs, np.int64)
-        self._clipped = np.zeros(num_envs, np.int64)
-        self._torn = False
+        self.__start: State | None = None
+        self.__generators: list[np.random.Generator] = [np.random.default_rng(0)] * num_envs
+        self.__is_random = False
+        self.__keys: frozenset[str] | None = None
+        self.__views: dict[int, View] = {}
+        self.__steps = np.zeros(num_envs, np.int64)
+        self.__clipped = np.zeros(num_envs, np.int64)
+        # Worlds whose episode an exception has broken off.
+        self.__broken = np.zeros(num_envs, np.bool_)
 
     @property
     def simulation(self) -> Simulation:
         """The simulated worlds; there are none before the first reset."""
-        if self._simulation is None:
+        if self.__simulation is None:
             raise reset_needed()
-        return self._simulation
+        return self.__simulation
 
     @property
     def steps_taken(self) -> NDArray[np.int64]:
         """Control steps that each world's episode has taken, (num_envs,)."""
-        return self._steps.copy()
+        return self.__steps.copy()
 
     def random(self, world: int) -> np.random.Generator:
-        """The generator of an episode's random numbers, which begins from its seed."""
-        return self._generators[world]
+        """The generator of an episode's random numbers, which begins from its seed. Whoever uses it gets a new seed with each reset that gives none."""
+        self.__is_random = True
+        return self.__generators[world]
 
     # What a subclass says.
 
-    def draw(self, random: np.random.Generator) -> dict[str, Any]:
+    def draw(self, random: np.random.Generator, world: int) -> dict[str, Any]:
         """What differs in a new episode's scene: overrides, the same keys each time.
 
-        Without it worlds begin alike, with a copy. With it scenes are seeded anew, world w's with the scene's random seed plus w, unless this gives one (`"seed"`).
+        Without it worlds begin alike, with a copy. With it scenes are seeded anew, by the episode's seed unless this gives one (`"seed"`).
         """
         return {}
 
@@ -132,12 +158,12 @@ class SceneVectorEnv(WorldsVectorEnv):
         """Prepares new episodes in these worlds, which are at the scene's start: puts bodies elsewhere, sets back what the task remembers."""
 
     def act(self, actions: NDArray[Any]) -> None:
-        """Gives the commands of a control step. Actions are float64 of shape (num_envs, ...), within the space."""
+        """Gives the commands of a control step. Actions have the shape (num_envs, ...) and are within the space, float64 for a `Box`."""
         raise NotImplementedError(f"{type(self).__name__} has no act(actions)")
 
-    def observe(self) -> Any:
-        """What is seen of every world, (num_envs, ...)."""
-        raise NotImplementedError(f"{type(self).__name__} has no observe()")
+    def observe(self, worlds: list[int]) -> Any:
+        """What is seen of these worlds, a row for each: of all behind a control step, and of those that begin an episode."""
+        raise NotImplementedError(f"{type(self).__name__} has no observe(worlds)")
 
     def reward(self, actions: NDArray[Any]) -> Any:
         """Reward of the control step that has just been taken, (num_envs,)."""
@@ -151,133 +177,179 @@ class SceneVectorEnv(WorldsVectorEnv):
         """Numbers to tell by name, each (num_envs,)."""
         return {}
 
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        if self.__simulation is None:
+            raise reset_needed()
+        if self.__broken.any():
+            worlds = ", ".join(map(str, np.flatnonzero(self.__broken)))
+            raise ValueError(f"worlds {worlds}: a control step or a reset was interrupted half way; reset() them first")
+        given = self._checked(actions)
+        self.__broken[:] = True
+        stepped = super().step(given)
+        self.__broken[:] = False
+        return stepped
+
     def close_extras(self, **_: Any) -> None:
-        self._simulation = self._start = None
-        self._views.clear()
+        self.__simulation = self.__start = None
+        self.__views.clear()
 
     # What the episodes ask for.
 
-    def _begin(self, worlds: list[int], seeds: list[int]) -> NDArray[Any]:
+    def _begin(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[Any]:
+        self.__broken[worlds] = True
+        self.options = options
         for world, seed in zip(worlds, seeds, strict=True):
-            self._generators[world] = np.random.default_rng(seed)
+            self.__generators[world] = np.random.default_rng(seed)
         drawn = [self._drawn_scene(world) for world in worlds]
-        if self._simulation is None:
-            own = self._overrides if self._overrides is not None else {}
-            each = [own] * self.num_envs if isinstance(own, dict) else list(own)
-            if len(each) != self.num_envs:
-                raise ValueError(f"overrides: there are {len(each)} of them for {self.num_envs} worlds")
-            overrides = [before | more for before, more in zip(each, drawn, strict=True)]
-            self._simulation = Simulation(self._scene, worlds=self.num_envs, overrides=overrides, **self._options)
-            if isinstance(own, dict) and not self._changed:
-                self._start = self._simulation.state()
-                self._simulation.restore(self._start)
-        elif self._start is not None:
+        draws = _is_own(self.draw, SceneVectorEnv.draw)
+        own_seeds = seeds if draws and "seed" not in (self.__keys or ()) else None
+        if self.__simulation is None:
+            overrides = [before | more for before, more in zip(self.__overrides, drawn, strict=True)]
+            self.__simulation = Simulation(self.__scene, worlds=self.num_envs, seed=own_seeds, overrides=overrides, **self.__machine)
+            if self.__is_alike and not draws:
+                self.__start = self.__simulation.state()
+                self.__simulation.restore(self.__start)
+        elif self.__start is not None:
             # Nothing is seeded then.
-            self._simulation.restore(self._start, worlds=worlds)
+            self.__simulation.restore(self.__start, worlds=worlds)
         else:
-            self._simulation.reset(worlds, overrides=drawn if self._changed else None)
-        if len(worlds) == self.num_envs:
-            self._torn = False
-        self._steps[worlds], self._clipped[worlds] = 0, 0
+            self.__simulation.reset(worlds, own_seeds, overrides=drawn if self.__keys else None)
+        self.__steps[worlds], self.__clipped[worlds] = 0, 0
         for world in worlds:
-            self._views.pop(world, None)
+            self.__views.pop(world, None)
         self.begin(worlds)
-        return self._observed()
+        seen = self._observed(worlds)
+        self.__broken[worlds] = False
+        return seen
 
-    def _play(self, actions: Any, waiting: NDArray[np.bool_]) -> Step:
-        if self._torn:
-            raise ValueError("a control step was interrupted half way; reset() all worlds first")
-        given, beyond = self._checked(actions)
-        self.act(given)
+    def _play(self, actions: NDArray[Any], waiting: NDArray[np.bool_]) -> Step:
         going = ~waiting
-        self._torn = True
-        failed = self._go_on(going)
-        self._torn = False
-        self._steps[going] += 1
-        self._clipped[going] += beyond[going]
-        if not self._ends and failed:
-            raise next(iter(failed.values()))
+        given, beyond = self._clipped_to_space(actions)
+        failed: dict[int, SimulationError] = {}
+        until = self.simulation.times
+        for _ in range(self.decimation):
+            self.act(given.copy())
+            until = until + self.interval / self.decimation
+            failed |= self._go_on(until, [world for world in np.flatnonzero(going).tolist() if world not in failed])
+        self.__steps[going] += 1
+        self.__clipped[going] += beyond[going]
         is_failed = np.isin(np.arange(self.num_envs), list(failed))
         for world, error in failed.items():
             self.failures[world] = str(error)
-        observations = self._observed()
-        rewards = self._rows(self.reward(given), "reward", np.float64)
+        # A fault in a material that is written in Python is none of the episode's.
+        to_raise = [error for error in failed.values() if not self.__ends or error.__cause__ is not None]
+        if to_raise:
+            raise to_raise[0]
+        observations = self._observed(list(range(self.num_envs)))
+        rewards = self._rows(self.reward(given), "reward", "fiu").astype(np.float64)
         rewards[is_failed] = 0.0
-        terminated = self._rows(self.terminated(), "terminated", np.bool_) | is_failed
-        told = {name: self._rows(values, f"info: {name}", None) for name, values in self.info().items()}
-        told["clipped"] = self._clipped.copy()
-        if self._ends:
+        wrong = np.flatnonzero(going & ~np.isfinite(rewards))
+        if wrong.size:
+            raise ValueError(f"reward: world {wrong[0]}'s is {rewards[wrong[0]]}; give a finite number")
+        terminated = self._rows(self.terminated(), "terminated", "b") | is_failed
+        info = self.info()
+        if not isinstance(info, dict) or any(name in info for name in _TOLD):
+            raise ValueError(f"info: give a dict of arrays by names other than {', '.join(_TOLD)}")
+        told = {name: self._rows(values, f"info: {name}", "fiub") for name, values in info.items()}
+        told["clipped"] = self.__clipped.copy()
+        if self.__ends:
             told["failed"] = is_failed
         return observations, rewards, terminated, np.zeros(self.num_envs, np.bool_), told
 
-    def _go_on(self, going: NDArray[np.bool_]) -> dict[int, SimulationError]:
-        """Worlds go on for a control step. Returns what those say that cannot."""
-        until = self.simulation.times + self.interval
+    def _go_on(self, until: NDArray[np.float64], worlds: list[int]) -> dict[int, SimulationError]:
+        """Worlds go on to a time of their own, those that start together, together. Returns what those say that cannot."""
         try:
-            self.simulation.advance(self.interval, worlds=np.flatnonzero(going).tolist())
+            self.simulation.advance(self.interval / self.decimation, worlds=worlds)
         except SimulationError as error:
             first = error
         else:
             return {}
         failed = {}
         # Of several that cannot go on one has been raised: the others are asked again.
-        for world in np.flatnonzero(going & (self.simulation.times < until - _ROUNDING * self.interval)).tolist():
+        for world in worlds:
+            left = until[world] - self.simulation.times[world]
+            if left <= _ROUNDING * self.interval:
+                continue
             if first.world in (None, world):
                 failed[world] = first
                 continue
             try:
-                self.simulation.advance(until[world] - self.simulation.times[world], worlds=[world])
+                self.simulation.advance(left, worlds=[world])
             except SimulationError as error:
                 failed[world] = error
         return failed
 
     def _taken(self) -> NDArray[np.int64]:
-        return self._steps
+        return self.__steps
 
     def _next_seed(self, before: int, random: np.random.Generator) -> int:
-        differs = any(getattr(type(self), name) is not getattr(SceneVectorEnv, name) for name in ("draw", "begin"))
+        differs = self.__is_random or _is_own(self.draw, SceneVectorEnv.draw)
         return int(random.integers(2**31)) if differs or before < 0 else before
 
     def _is_begun(self) -> bool:
-        return self._simulation is not None
+        return self.__simulation is not None
+
+    def _check_options(self, options: dict[str, Any]) -> None:
+        """All are the subclass's."""
 
     def _picture(self, world: int) -> NDArray[np.uint8]:
-        if world not in self._views:
-            self._views[world] = View(self.simulation, world=world)
-        return self._views[world].draw(self.simulation, world=world)
+        if world not in self.__views:
+            self.__views[world] = View(self.simulation, world=world)
+        return self.__views[world].draw(self.simulation, part=self.__part, world=world)
 
     def _drawn_scene(self, world: int) -> dict[str, Any]:
-        drawn = dict(self.draw(self._generators[world]))
+        drawn = self.draw(self.__generators[world], world)
+        if not isinstance(drawn, dict):
+            raise TypeError(f"draw: it returns {drawn!r}; return a dict of overrides")
         # A key that is left out would keep what the episode before has set.
-        if self._changed is not None and self._changed != drawn.keys():
-            raise ValueError(f"draw: it gave {sorted(self._changed)} before and gives {sorted(drawn)} now; give the same keys each time")
-        self._changed = frozenset(drawn)
+        if self.__keys is not None and self.__keys != drawn.keys():
+            raise ValueError(f"draw: it gave {sorted(self.__keys)} before and gives {sorted(drawn)} now; give the same keys each time")
+        self.__keys = frozenset(drawn)
         return drawn
 
-    def _checked(self, actions: Any) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    def _checked(self, actions: Any) -> NDArray[Any]:
+        """Actions of the right shape, as numbers that the space may hold; a `Box` may be left."""
+        space = self.single_action_space
+        if isinstance(space, spaces.Box):
+            return checked_actions(actions, (self.num_envs, *space.shape), None, space.low, space.high)
+        given = np.array(actions.detach().cpu().numpy() if hasattr(actions, "detach") else actions)
+        if given.dtype.kind not in "iu" or not self.action_space.contains(given.astype(self.action_space.dtype)):
+            raise BodyError(f"action: {given!r} (dtype {given.dtype}) is none of {self.action_space}; give whole numbers of that shape, within its limits")
+        return given.astype(self.action_space.dtype)
+
+    def _clipped_to_space(self, actions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
         """Actions within their space, and how many numbers of each world's were beyond."""
         space = self.single_action_space
-        if not isinstance(space, gymnasium.spaces.Box):
-            given = np.asarray(actions.detach().cpu().numpy() if hasattr(actions, "detach") else actions)
-            if not self.action_space.contains(given):
-                raise BodyError(f"action: {given!r} is none of {self.action_space}")
-            return given, np.zeros(self.num_envs, np.int64)
-        given = checked_actions(actions, (self.num_envs, *space.shape), None, space.low, space.high)
-        beyond = (given < space.low) | (given > space.high)
-        return np.clip(given, space.low, space.high), beyond.reshape(self.num_envs, -1).sum(axis=1)
+        if not isinstance(space, spaces.Box):
+            return actions, np.zeros(self.num_envs, np.int64)
+        beyond = (actions < space.low) | (actions > space.high)
+        return np.clip(actions, space.low, space.high), beyond.reshape(self.num_envs, -1).sum(axis=1)
 
-    def _observed(self) -> NDArray[Any]:
+    def _observed(self, worlds: list[int]) -> NDArray[Any]:
         space = self.single_observation_space
-        seen = np.array(self.observe(), space.dtype)
-        if seen.shape != (self.num_envs, *space.shape):
-            raise ValueError(f"observe: it returns an array of shape {seen.shape}; return one of {(self.num_envs, *space.shape)}")
-        return seen
+        seen = self._numbers(self.observe(worlds), "observe", "fiub" if space.dtype.kind == "f" else "iub")
+        if seen.shape != (len(worlds), *space.shape):
+            raise ValueError(f"observe: it returns an array of shape {seen.shape} for worlds {worlds}; return one of {(len(worlds), *space.shape)}, a row for each")
+        wrong = np.flatnonzero(np.isnan(seen.reshape(len(worlds), -1)).any(axis=1))
+        if wrong.size:
+            raise ValueError(f"observe: the row of world {worlds[wrong[0]]} holds NaN: {seen[wrong[0]]}; give numbers")
+        return seen.astype(space.dtype)
 
-    def _rows(self, values: Any, name: str, dtype: Any) -> NDArray[Any]:
-        rows = np.array(values, dtype)
+    def _rows(self, values: Any, name: str, kinds: str) -> NDArray[Any]:
+        rows = self._numbers(values, name, kinds)
         if rows.shape != (self.num_envs,):
             raise ValueError(f"{name}: it is an array of shape {rows.shape}; return one of ({self.num_envs},), a number for each world")
         return rows
+
+    def _numbers(self, values: Any, name: str, kinds: str) -> NDArray[Any]:
+        try:
+            given = np.array(values.detach().cpu().numpy() if hasattr(values, "detach") else values)
+        except ValueError as error:
+            raise ValueError(f"{name}: it is no array: {error}") from error
+        if given.dtype.kind not in kinds:
+            wanted = "bools" if kinds == "b" else "whole numbers" if "f" not in kinds else "numbers"
+            raise TypeError(f"{name}: its dtype is {given.dtype}; return {wanted}")
+        return given
 
 
 class OneWorldEnv(gymnasium.Env):
@@ -314,3 +386,8 @@ class OneWorldEnv(gymnasium.Env):
 
 def _of_one(info: dict[str, Any]) -> dict[str, Any]:
     return {name: values[0].item() for name, values in info.items() if not name.startswith("_")}
+
+
+def _is_own(method: Any, plain: Any) -> bool:
+    """Does a task have a method of its own?"""
+    return getattr(method, "__func__", None) is not plain
