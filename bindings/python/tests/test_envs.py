@@ -218,6 +218,17 @@ def test_an_episode_can_begin_elsewhere_and_its_world_be_read():
         worlds.reset([0, 1, 1], seeds=[1, 2, 3])
 
 
+def test_a_reset_of_some_worlds_tells_the_others_as_they_are():
+    vector = envs.TaskVectorEnv(TASK, 2, autoreset_mode="Disabled")
+    vector.reset(seed=0)
+    vector.step(np.zeros((2, 4)))
+    expected = vector.worlds.step(np.tile(vector.task.action_high, (2, 1)))[0]
+    observed, _ = vector.reset(options={"reset_mask": np.array([True, False])})
+    assert np.array_equal(observed[1], expected[1]) and not np.array_equal(observed[0], expected[0])
+    with pytest.raises(ValueError, match="options: 'level' mean nothing here"):
+        envs.TaskEnv(TASK).reset(options={"level": 3})
+
+
 def test_a_wrong_seed_leaves_the_environment_as_it_was():
     one = envs.TaskEnv(TASK)
     assert one.reset(seed=7)[1] == {"seed": 7}

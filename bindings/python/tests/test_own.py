@@ -282,6 +282,39 @@ def test_episodes_that_an_exception_has_broken_off_have_to_be_reset():
         vector.step(still)
 
 
+def test_worlds_on_a_gpu_begin_anew_beside_others():
+    # Steps that are chosen are as long in all worlds on a GPU.
+    vector, truth = (Press(2, backend=on, autoreset_mode="Disabled", overrides={"time.step": 2.5e-4}) for on in ("wgpu", "cpu"))
+    press = np.array([[-1.0], [-0.5]])
+    mask = np.array([False, True])
+    for one in (vector, truth):
+        one.reset(seed=0)
+        one.step(press)
+        one.step(press)
+        one.reset(options={"reset_mask": mask})
+    assert vector.simulation.backend == "wgpu" and vector.steps_taken.tolist() == [2, 0]
+    for _ in range(2):
+        observed, rewards, *_ = vector.step(press)
+        expected, wanted, *_ = truth.step(press)
+        # Forces are of some hundred N.
+        assert np.allclose(observed, expected, rtol=1e-3, atol=0.1) and np.allclose(rewards, wanted, rtol=1e-3, atol=0.1)
+    assert vector.steps_taken.tolist() == [4, 2]
+
+
+def test_worlds_that_wait_are_named_to_act():
+    class Lifting(Press):
+        def act(self, actions):
+            self.waited = self.waiting
+
+    vector = Lifting(2, autoreset_mode="Disabled")
+    vector.terminated = lambda: np.array([True, False])
+    vector.reset(seed=0)
+    vector.step(np.zeros((2, 1)))
+    assert not vector.waited.any()
+    vector.step(np.zeros((2, 1)))
+    assert vector.waited.tolist() == [True, False]
+
+
 def test_commands_within_a_step_options_and_whole_numbers():
     class Stepped(Press):
         def begin(self, worlds):
@@ -345,7 +378,8 @@ def test_what_a_subclass_returns_is_held_to_its_shapes():
         ("observe", lambda worlds: [[1.0], [1.0, 2.0]], "observe: it is no array"),
         ("reward", lambda actions: np.array([0.0, np.inf]), "reward: world 1's is inf"),
         ("terminated", lambda: np.array([0, 1]), "terminated: its dtype is int64; return bools"),
-        ("info", lambda: {"seed": np.zeros(2)}, "info: give a dict of arrays by names other than"),
+        ("info", lambda: {"seed": np.zeros(2)}, "info: give a dict of arrays by names that begin with no underscore"),
+        ("info", lambda: {"_x": np.zeros(2)}, "info: give a dict of arrays by names that begin with no underscore"),
         ("draw", lambda random, world: None, "draw: it returns None; return a dict"),
     ]:
         faulty = Press(2)

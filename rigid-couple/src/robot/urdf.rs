@@ -476,7 +476,10 @@ impl<'a> Reader<'a> {
         let triangles = Triangles::read(&file, self.mesh_scale(kind)?).map_err(fault)?;
         let is_exact = self.source.meshes.are_exact(link);
         let hulled = |refusal: Refusal| Refusal {
-            mend: format!("{}; or take its convex hull: leave '{link}' out of collision_meshes", refusal.mend),
+            mend: format!(
+                "{}; or take its convex hull: name the others: collision_meshes = {{ exact_links = [\"NAME\", …] }}",
+                refusal.mend
+            ),
             ..refusal
         };
         let mesh = if is_exact { triangles.mesh().map_err(hulled) } else { triangles.hull() }.map_err(fault)?;

@@ -25,7 +25,7 @@ Step: TypeAlias = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], ND
 class WorldsVectorEnv(VectorEnv):
     """Worlds of one simulation as environments. Subclasses say how episodes begin and what a control step does.
 
-    Names of what it keeps begin with two underscores, so that those of a user's subclass are no others.
+    What it keeps for itself has names with two underscores, so that those of a user's subclass are no others.
     """
 
     metadata = {"render_modes": ["rgb_array"], "render_fps": 30, "autoreset_mode": AutoresetMode.NEXT_STEP}
@@ -62,32 +62,31 @@ class WorldsVectorEnv(VectorEnv):
         self.__ended = np.zeros(num_envs, np.bool_)
         self.__terminated = np.zeros(num_envs, np.bool_)
 
-    def _begin(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[Any]:
-        """New episodes in these worlds, for which `reset` has been given these options. Returns what is seen of them."""
+    def _begin_worlds(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[Any]:
+        """New episodes in these worlds, for which `reset` has been given these options. Returns what is seen of them, or of all worlds."""
         raise NotImplementedError
 
-    def _play(self, actions: Any, waiting: NDArray[np.bool_]) -> Step:
+    def _play_worlds(self, actions: Any, waiting: NDArray[np.bool_]) -> Step:
         """A control step of all worlds but those that wait."""
         raise NotImplementedError
 
-    def _taken(self) -> NDArray[np.integer[Any]]:
+    def _worlds_taken(self) -> NDArray[np.integer[Any]]:
         """Control steps that each world's episode has taken."""
         raise NotImplementedError
 
-    def _next_seed(self, before: int, random: np.random.Generator) -> int:
+    def _world_seed(self, before: int, random: np.random.Generator) -> int:
         """Seed of an episode for which none is given."""
         raise NotImplementedError
 
-    def _is_begun(self) -> bool:
+    def _has_worlds(self) -> bool:
         """Are there worlds?"""
         raise NotImplementedError
 
-    def _check_options(self, options: dict[str, Any]) -> None:
+    def _check_reset_options(self, options: dict[str, Any]) -> None:
         """Refuses options of `reset` that mean nothing."""
-        if options:
-            raise ValueError(f"options: {', '.join(map(repr, options))} mean nothing here; known are 'reset_mask' and 'stagger'")
+        refuse_options(options, "known are 'reset_mask' and 'stagger'")
 
-    def _picture(self, world: int) -> NDArray[np.uint8]:
+    def _world_picture(self, world: int) -> NDArray[np.uint8]:
         raise NotImplementedError
 
     def reset(
@@ -108,32 +107,32 @@ class WorldsVectorEnv(VectorEnv):
         seeds = checked_seeds(seeds)
         mask = (options or {}).get("reset_mask")
         own = {name: value for name, value in (options or {}).items() if name not in ("reset_mask", "stagger")}
-        self._check_options(own)
+        self._check_reset_options(own)
         chosen = np.ones(self.num_envs, np.bool_) if mask is None else np.asarray(mask)
         if chosen.shape != (self.num_envs,) or chosen.dtype != np.bool_ or not chosen.any():
             raise ValueError(f"reset_mask: give an array of {self.num_envs} bools, one of them True at least")
-        if not (chosen.all() or self._is_begun()):
+        if not (chosen.all() or self._has_worlds()):
             # Worlds must be there before some of them can begin anew.
             raise reset_needed()
         for world in np.flatnonzero(chosen).tolist():
             given = seeds[world]
             if given is not None or self.__random[world] is None:
                 self.__random[world], self.__drawn_from[world] = seeding.np_random(given)
-            self.__seeds[world] = given if given is not None else self._drawn(world)
+            self.__seeds[world] = given if given is not None else self.__drawn(world)
         self.__ended[chosen] = False
-        self._again(chosen, own)
+        self.__again(chosen, own)
         if (options or {}).get("stagger"):
             count = int(chosen.sum())
             self.__most[chosen] = np.maximum(self.max_episode_steps * np.arange(1, count + 1) // count, 1)
-        return self._out(self.__seen.copy()), self._seed_info(chosen)
+        return self.__out(self.__seen.copy()), self.__seed_info(chosen)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        if not self._is_begun():
+        if not self._has_worlds():
             raise reset_needed()
         anew = self.__ended.copy()
         # Worlds whose episode has ended wait.
-        self.__seen, rewards, terminated, truncated, told = self._play(actions, anew)
-        truncated |= self._taken() >= self.__most
+        self.__seen, rewards, terminated, truncated, told = self._play_worlds(actions, anew)
+        truncated |= self._worlds_taken() >= self.__most
         info: dict[str, Any] = {}
         present = ~anew
         for name, values in told.items():
@@ -145,25 +144,25 @@ class WorldsVectorEnv(VectorEnv):
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 terminated[anew], truncated[anew] = self.__terminated[anew], ~self.__terminated[anew]
             else:
-                self._draw(anew)
-                self._again(anew, {})
+                self.__draw(anew)
+                self.__again(anew, {})
                 terminated[anew], truncated[anew] = False, False
-                info |= self._seed_info(anew)
+                info |= self.__seed_info(anew)
         ended = terminated | truncated
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             last = np.full(self.num_envs, None, dtype=object)
             for world in np.flatnonzero(ended):
-                last[world] = self._out(self.__seen[world].copy())
+                last[world] = self.__out(self.__seen[world].copy())
             final = {name: ended.copy() if name.startswith("_") else values.copy() for name, values in info.items()}
             info = {name: values & ~ended if name.startswith("_") else values for name, values in info.items()}
             info |= {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
-            self._draw(ended)
-            self._again(ended, {})
-            info |= self._seed_info(ended)
+            self.__draw(ended)
+            self.__again(ended, {})
+            info |= self.__seed_info(ended)
             self.__ended[:] = False
         else:
             self.__ended, self.__terminated = ended, terminated.copy()
-        return self._out(self.__seen.copy()), self._out(rewards), self._out(terminated), self._out(truncated), info
+        return self.__out(self.__seen.copy()), self.__out(rewards), self.__out(terminated), self.__out(truncated), info
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:
@@ -179,32 +178,37 @@ class WorldsVectorEnv(VectorEnv):
         """A picture of each world."""
         if self.render_mode is None:
             return None
-        return tuple(self._picture(world) for world in range(self.num_envs))
+        return tuple(self._world_picture(world) for world in range(self.num_envs))
 
-    def _drawn(self, world: int) -> int:
+    def __drawn(self, world: int) -> int:
         random = self.__random[world]
         assert random is not None
-        return self._next_seed(int(self.__seeds[world]), random)
+        return self._world_seed(int(self.__seeds[world]), random)
 
-    def _draw(self, chosen: NDArray[np.bool_]) -> None:
+    def __draw(self, chosen: NDArray[np.bool_]) -> None:
         for world in np.flatnonzero(chosen).tolist():
-            self.__seeds[world] = self._drawn(world)
+            self.__seeds[world] = self.__drawn(world)
 
-    def _again(self, chosen: NDArray[np.bool_], options: dict[str, Any]) -> None:
-        """Begins new episodes in some worlds. What has been seen of the others stays."""
+    def __again(self, chosen: NDArray[np.bool_], options: dict[str, Any]) -> None:
+        """Begins new episodes in some worlds."""
         worlds = np.flatnonzero(chosen).tolist()
         self.__most[worlds] = self.max_episode_steps
-        self.__seen[worlds] = self._begin(worlds, self.__seeds[worlds].tolist(), options)
+        self.closed = False
+        seen = self._begin_worlds(worlds, self.__seeds[worlds].tolist(), options)
+        if len(seen) == self.num_envs:
+            self.__seen = seen
+        else:
+            self.__seen[worlds] = seen
 
-    def _seed_info(self, chosen: NDArray[np.bool_]) -> dict[str, Any]:
+    def __seed_info(self, chosen: NDArray[np.bool_]) -> dict[str, Any]:
         return {"seed": np.where(chosen, self.__seeds, 0), "_seed": chosen.copy()}
 
-    def _out(self, array: Any) -> Any:
+    def __out(self, array: Any) -> Any:
         """An array as the user wants it."""
         return array if self.__torch is None else as_tensor(array, self.__torch)
 
     def __getstate__(self) -> dict[str, Any]:
-        refuse_pickle(self._is_begun())
+        refuse_pickle(self._has_worlds())
         return self.__dict__
 
 
@@ -216,6 +220,11 @@ def check_render_mode(mode: str | None, known: list[str]) -> None:
 def check_count(name: str, count: Any) -> None:
     if not (isinstance(count, (int, np.integer)) and count >= 1):
         raise ValueError(f"{name}: {count!r} is none; give a whole number from 1 on")
+
+
+def refuse_options(options: dict[str, Any] | None, mend: str) -> None:
+    if options:
+        raise ValueError(f"options: {', '.join(map(repr, options))} mean nothing here; {mend}")
 
 
 def checked_seeds(seeds: list[Any]) -> list[int | None]:
@@ -243,7 +252,7 @@ def checked_actions(
         place = tuple(int(i) for i in np.argwhere(~np.isfinite(given))[0])
         own = place[given.ndim - low.ndim :]
         where = "" if own == place else f"world {place[0]}: "
-        name = names[own[0]] if names is not None else f"number {', '.join(map(str, own))}"
+        name = names[own[0]] if names is not None else f"number {', '.join(map(str, own))}" if own else "the number"
         raise BodyError(f"action: {where}{name} is {given[place]}; give a number from {low[own]:g} to {high[own]:g}")
     return given
 

@@ -28,6 +28,7 @@ from barchan._vector import (
     check_render_mode,
     checked_actions,
     checked_seeds,
+    refuse_options,
     refuse_pickle,
     reset_needed,
     torch_device,
@@ -199,6 +200,7 @@ class TaskEnv(gymnasium.Env):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         [seed] = checked_seeds([seed])
+        refuse_options(options, "leave them out")
         super().reset(seed=seed)
         own = seed if seed is not None else self._played.next_seed(self._seed, self.np_random)
         observations = self._played.begin([own])
@@ -315,25 +317,25 @@ class TaskVectorEnv(WorldsVectorEnv):
     def close_extras(self, **_: Any) -> None:
         self._played.worlds = None
 
-    def _begin(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[np.float32]:
+    def _begin_worlds(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[np.float32]:
         if len(worlds) == self.num_envs:
             return self._played.begin(seeds)
-        return self.worlds.reset(worlds, seeds)[worlds]
+        return self.worlds.reset(worlds, seeds)
 
-    def _play(self, actions: Any, waiting: NDArray[np.bool_]) -> Step:
+    def _play_worlds(self, actions: Any, waiting: NDArray[np.bool_]) -> Step:
         observations, rewards, terminated, truncated, success, told = self._played.step(actions, self.num_envs, waiting)
         return observations, rewards, terminated, truncated, told | {"success": success}
 
-    def _taken(self) -> NDArray[np.integer[Any]]:
+    def _worlds_taken(self) -> NDArray[np.integer[Any]]:
         return self.worlds.steps_taken
 
-    def _next_seed(self, before: int, random: np.random.Generator) -> int:
+    def _world_seed(self, before: int, random: np.random.Generator) -> int:
         return self._played.next_seed(before, random)
 
-    def _is_begun(self) -> bool:
+    def _has_worlds(self) -> bool:
         return self._played.worlds is not None
 
-    def _picture(self, world: int) -> NDArray[np.uint8]:
+    def _world_picture(self, world: int) -> NDArray[np.uint8]:
         return self.worlds.render(world)
 
 

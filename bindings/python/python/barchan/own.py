@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from barchan._core import Simulation, State, View
-from barchan._vector import Step, WorldsVectorEnv, check_count, checked_actions, reset_needed
+from barchan._vector import Step, WorldsVectorEnv, check_count, checked_actions, checked_seeds, reset_needed
 from barchan.errors import BodyError, SimulationError
 
 import gymnasium
@@ -27,7 +27,7 @@ __all__ = ["OneWorldEnv", "SceneVectorEnv"]
 # Share of a control step by which the time of a world that has taken it may be off.
 _ROUNDING = 1e-6
 # What is told of every control step or episode anyway.
-_TOLD = ("clipped", "failed", "seed")
+_TOLD = ("clipped", "failed", "seed", "final_obs", "final_info")
 
 
 class SceneVectorEnv(WorldsVectorEnv):
@@ -37,7 +37,7 @@ class SceneVectorEnv(WorldsVectorEnv):
     return has a row for each. They read `self.simulation`, a `barchan.Simulation`, whose `robot_arrays` and `body_arrays` have a row for each world, too. An episode begins with
     `draw`, `begin` and `observe`, each for the worlds that begin one.
 
-    If one of them raises, or Ctrl-C comes, the episodes are broken off: worlds take no step before they are reset.
+    If one of them raises, a world cannot go on, or Ctrl-C comes, all episodes are broken off: worlds take no step before they are reset.
 
     Parameters
     ----------
@@ -66,7 +66,7 @@ class SceneVectorEnv(WorldsVectorEnv):
     torch
         What is returned are tensors of PyTorch: True, or the name of a device. Tensors are taken as actions anyway.
     failures
-        "raise" an exception if a world cannot go on, or "end" its episode with a reward of 0 and `info["failed"]`. `failures` says why, either way.
+        "raise" an exception if a world cannot go on, or "end" its episode alone, with a reward of 0 and `info["failed"]`. `failures` says why, either way.
     """
 
     def __init__(
@@ -98,6 +98,8 @@ class SceneVectorEnv(WorldsVectorEnv):
             raise TypeError(f"observation_space: it is a {type(observation_space).__name__}; give a gymnasium.spaces.Box")
         if failures not in ("raise", "end"):
             raise ValueError(f"failures: {failures!r} is neither 'raise' nor 'end'")
+        if picture not in ("page", "ground"):
+            raise ValueError(f"picture: {picture!r} is neither 'page' nor 'ground'")
         check_count("decimation", decimation)
         super().__init__(num_envs, action_space, observation_space, max_episode_steps, render_mode, autoreset_mode, torch)
         each = [overrides or {}] * num_envs if isinstance(overrides, (dict, type(None))) else overrides
@@ -125,6 +127,7 @@ class SceneVectorEnv(WorldsVectorEnv):
         self.__views: dict[int, View] = {}
         self.__steps = np.zeros(num_envs, np.int64)
         self.__clipped = np.zeros(num_envs, np.int64)
+        self.__waiting = np.zeros(num_envs, np.bool_)
         # Worlds whose episode an exception has broken off.
         self.__broken = np.zeros(num_envs, np.bool_)
 
@@ -140,6 +143,11 @@ class SceneVectorEnv(WorldsVectorEnv):
         """Control steps that each world's episode has taken, (num_envs,)."""
         return self.__steps.copy()
 
+    @property
+    def waiting(self) -> NDArray[np.bool_]:
+        """Worlds that take no step in this control step, (num_envs,): their episode has ended, or they could not go on. What `act` does to them is done all the same."""
+        return self.__waiting.copy()
+
     def random(self, world: int) -> np.random.Generator:
         """The generator of an episode's random numbers, which begins from its seed. Whoever uses it gets a new seed with each reset that gives none."""
         self.__is_random = True
@@ -150,7 +158,7 @@ class SceneVectorEnv(WorldsVectorEnv):
     def draw(self, random: np.random.Generator, world: int) -> dict[str, Any]:
         """What differs in a new episode's scene: overrides, the same keys each time.
 
-        Without it worlds begin alike, with a copy. With it scenes are seeded anew, by the episode's seed unless this gives one (`"seed"`).
+        Without it worlds begin alike, with a copy, unless each has overrides of its own. With it scenes are seeded anew, by the episode's seed unless this gives one (`"seed"`).
         """
         return {}
 
@@ -183,7 +191,7 @@ class SceneVectorEnv(WorldsVectorEnv):
         if self.__broken.any():
             worlds = ", ".join(map(str, np.flatnonzero(self.__broken)))
             raise ValueError(f"worlds {worlds}: a control step or a reset was interrupted half way; reset() them first")
-        given = self._checked(actions)
+        given = self.__checked(actions)
         self.__broken[:] = True
         stepped = super().step(given)
         self.__broken[:] = False
@@ -195,14 +203,15 @@ class SceneVectorEnv(WorldsVectorEnv):
 
     # What the episodes ask for.
 
-    def _begin(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[Any]:
+    def _begin_worlds(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[Any]:
         self.__broken[worlds] = True
         self.options = options
         for world, seed in zip(worlds, seeds, strict=True):
             self.__generators[world] = np.random.default_rng(seed)
-        drawn = [self._drawn_scene(world) for world in worlds]
+        drawn = [self.__drawn_scene(world) for world in worlds]
         draws = _is_own(self.draw, SceneVectorEnv.draw)
-        own_seeds = seeds if draws and "seed" not in (self.__keys or ()) else None
+        has_seed = any("seed" in given for given in (*drawn, *self.__overrides))
+        own_seeds = seeds if draws and not has_seed else None
         if self.__simulation is None:
             overrides = [before | more for before, more in zip(self.__overrides, drawn, strict=True)]
             self.__simulation = Simulation(self.__scene, worlds=self.num_envs, seed=own_seeds, overrides=overrides, **self.__machine)
@@ -218,19 +227,21 @@ class SceneVectorEnv(WorldsVectorEnv):
         for world in worlds:
             self.__views.pop(world, None)
         self.begin(worlds)
-        seen = self._observed(worlds)
+        seen = self.__observed(worlds)
         self.__broken[worlds] = False
         return seen
 
-    def _play(self, actions: NDArray[Any], waiting: NDArray[np.bool_]) -> Step:
+    def _play_worlds(self, actions: NDArray[Any], waiting: NDArray[np.bool_]) -> Step:
         going = ~waiting
-        given, beyond = self._clipped_to_space(actions)
+        given, beyond = self.__clipped_to_space(actions)
         failed: dict[int, SimulationError] = {}
         until = self.simulation.times
+        self.__waiting = waiting.copy()
         for _ in range(self.decimation):
             self.act(given.copy())
             until = until + self.interval / self.decimation
-            failed |= self._go_on(until, [world for world in np.flatnonzero(going).tolist() if world not in failed])
+            failed |= self.__go_on(until, np.flatnonzero(~self.__waiting).tolist())
+            self.__waiting[list(failed)] = True
         self.__steps[going] += 1
         self.__clipped[going] += beyond[going]
         is_failed = np.isin(np.arange(self.num_envs), list(failed))
@@ -240,23 +251,23 @@ class SceneVectorEnv(WorldsVectorEnv):
         to_raise = [error for error in failed.values() if not self.__ends or error.__cause__ is not None]
         if to_raise:
             raise to_raise[0]
-        observations = self._observed(list(range(self.num_envs)))
-        rewards = self._rows(self.reward(given), "reward", "fiu").astype(np.float64)
+        observations = self.__observed(list(range(self.num_envs)))
+        rewards = self.__rows(self.reward(given), "reward", "fiu").astype(np.float64)
         rewards[is_failed] = 0.0
         wrong = np.flatnonzero(going & ~np.isfinite(rewards))
         if wrong.size:
             raise ValueError(f"reward: world {wrong[0]}'s is {rewards[wrong[0]]}; give a finite number")
-        terminated = self._rows(self.terminated(), "terminated", "b") | is_failed
+        terminated = self.__rows(self.terminated(), "terminated", "b") | is_failed
         info = self.info()
-        if not isinstance(info, dict) or any(name in info for name in _TOLD):
-            raise ValueError(f"info: give a dict of arrays by names other than {', '.join(_TOLD)}")
-        told = {name: self._rows(values, f"info: {name}", "fiub") for name, values in info.items()}
+        if not isinstance(info, dict) or not all(isinstance(name, str) and name[:1] != "_" and name not in _TOLD for name in info):
+            raise ValueError(f"info: give a dict of arrays by names that begin with no underscore and are none of {', '.join(_TOLD)}")
+        told = {name: self.__rows(values, f"info: {name}", "fiub") for name, values in info.items()}
         told["clipped"] = self.__clipped.copy()
         if self.__ends:
             told["failed"] = is_failed
         return observations, rewards, terminated, np.zeros(self.num_envs, np.bool_), told
 
-    def _go_on(self, until: NDArray[np.float64], worlds: list[int]) -> dict[int, SimulationError]:
+    def __go_on(self, until: NDArray[np.float64], worlds: list[int]) -> dict[int, SimulationError]:
         """Worlds go on to a time of their own, those that start together, together. Returns what those say that cannot."""
         try:
             self.simulation.advance(self.interval / self.decimation, worlds=worlds)
@@ -277,27 +288,29 @@ class SceneVectorEnv(WorldsVectorEnv):
                 self.simulation.advance(left, worlds=[world])
             except SimulationError as error:
                 failed[world] = error
+        if not failed:
+            raise first
         return failed
 
-    def _taken(self) -> NDArray[np.int64]:
+    def _worlds_taken(self) -> NDArray[np.int64]:
         return self.__steps
 
-    def _next_seed(self, before: int, random: np.random.Generator) -> int:
+    def _world_seed(self, before: int, random: np.random.Generator) -> int:
         differs = self.__is_random or _is_own(self.draw, SceneVectorEnv.draw)
         return int(random.integers(2**31)) if differs or before < 0 else before
 
-    def _is_begun(self) -> bool:
+    def _has_worlds(self) -> bool:
         return self.__simulation is not None
 
-    def _check_options(self, options: dict[str, Any]) -> None:
+    def _check_reset_options(self, options: dict[str, Any]) -> None:
         """All are the subclass's."""
 
-    def _picture(self, world: int) -> NDArray[np.uint8]:
+    def _world_picture(self, world: int) -> NDArray[np.uint8]:
         if world not in self.__views:
             self.__views[world] = View(self.simulation, world=world)
         return self.__views[world].draw(self.simulation, part=self.__part, world=world)
 
-    def _drawn_scene(self, world: int) -> dict[str, Any]:
+    def __drawn_scene(self, world: int) -> dict[str, Any]:
         drawn = self.draw(self.__generators[world], world)
         if not isinstance(drawn, dict):
             raise TypeError(f"draw: it returns {drawn!r}; return a dict of overrides")
@@ -307,17 +320,18 @@ class SceneVectorEnv(WorldsVectorEnv):
         self.__keys = frozenset(drawn)
         return drawn
 
-    def _checked(self, actions: Any) -> NDArray[Any]:
+    def __checked(self, actions: Any) -> NDArray[Any]:
         """Actions of the right shape, as numbers that the space may hold; a `Box` may be left."""
         space = self.single_action_space
         if isinstance(space, spaces.Box):
             return checked_actions(actions, (self.num_envs, *space.shape), None, space.low, space.high)
         given = np.array(actions.detach().cpu().numpy() if hasattr(actions, "detach") else actions)
-        if given.dtype.kind not in "iu" or not self.action_space.contains(given.astype(self.action_space.dtype)):
+        whole = given.astype(self.action_space.dtype) if given.dtype.kind in "iu" else None
+        if whole is None or not (np.array_equal(whole, given) and self.action_space.contains(whole)):
             raise BodyError(f"action: {given!r} (dtype {given.dtype}) is none of {self.action_space}; give whole numbers of that shape, within its limits")
-        return given.astype(self.action_space.dtype)
+        return whole
 
-    def _clipped_to_space(self, actions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+    def __clipped_to_space(self, actions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
         """Actions within their space, and how many numbers of each world's were beyond."""
         space = self.single_action_space
         if not isinstance(space, spaces.Box):
@@ -325,23 +339,26 @@ class SceneVectorEnv(WorldsVectorEnv):
         beyond = (actions < space.low) | (actions > space.high)
         return np.clip(actions, space.low, space.high), beyond.reshape(self.num_envs, -1).sum(axis=1)
 
-    def _observed(self, worlds: list[int]) -> NDArray[Any]:
+    def __observed(self, worlds: list[int]) -> NDArray[Any]:
         space = self.single_observation_space
-        seen = self._numbers(self.observe(worlds), "observe", "fiub" if space.dtype.kind == "f" else "iub")
+        seen = self.__numbers(self.observe(worlds), "observe", "fiub" if space.dtype.kind == "f" else "iub")
         if seen.shape != (len(worlds), *space.shape):
             raise ValueError(f"observe: it returns an array of shape {seen.shape} for worlds {worlds}; return one of {(len(worlds), *space.shape)}, a row for each")
         wrong = np.flatnonzero(np.isnan(seen.reshape(len(worlds), -1)).any(axis=1))
         if wrong.size:
             raise ValueError(f"observe: the row of world {worlds[wrong[0]]} holds NaN: {seen[wrong[0]]}; give numbers")
-        return seen.astype(space.dtype)
+        kept = seen.astype(space.dtype)
+        if space.dtype.kind != "f" and not np.array_equal(kept, seen):
+            raise ValueError(f"observe: there are numbers from {seen.min()} to {seen.max()}, and {space.dtype} holds no such ones")
+        return kept
 
-    def _rows(self, values: Any, name: str, kinds: str) -> NDArray[Any]:
-        rows = self._numbers(values, name, kinds)
+    def __rows(self, values: Any, name: str, kinds: str) -> NDArray[Any]:
+        rows = self.__numbers(values, name, kinds)
         if rows.shape != (self.num_envs,):
             raise ValueError(f"{name}: it is an array of shape {rows.shape}; return one of ({self.num_envs},), a number for each world")
         return rows
 
-    def _numbers(self, values: Any, name: str, kinds: str) -> NDArray[Any]:
+    def __numbers(self, values: Any, name: str, kinds: str) -> NDArray[Any]:
         try:
             given = np.array(values.detach().cpu().numpy() if hasattr(values, "detach") else values)
         except ValueError as error:
@@ -368,6 +385,7 @@ class OneWorldEnv(gymnasium.Env):
         self.metadata = self.metadata | {"render_fps": vector.metadata["render_fps"]}
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        [seed] = checked_seeds([seed])
         super().reset(seed=seed)
         observations, info = self.vector.reset(seed=seed, options=options)
         return observations[0], _of_one(info)
