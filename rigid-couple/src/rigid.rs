@@ -343,19 +343,9 @@ impl Coupling for Rigid {
     }
 
     fn extents(&self) -> Vec<Aabb> {
-        let clipped = |mut bounds: Aabb| {
-            for d in 0..3 {
-                // Only an infinite side is clipped: a body may have business beyond open sides.
-                if bounds.min[d] == f64::NEG_INFINITY {
-                    bounds.min[d] = self.world_box.min[d].min(bounds.max[d]);
-                }
-                if bounds.max[d] == f64::INFINITY {
-                    bounds.max[d] = self.world_box.max[d].max(bounds.min[d]);
-                }
-            }
-            bounds
-        };
-        self.bodies.iter().map(|body| clipped(body.shape.bounds(&body.state.pose, self.scene.world.cell))).collect()
+        // Only an infinite side is clipped: a body may have business beyond open sides.
+        let of = |body: &Body| body.shape.bounds(&body.state.pose, self.scene.world.cell).ended_by(&self.world_box);
+        self.bodies.iter().map(of).collect()
     }
 
     fn bounds(&self) -> Vec<Aabb> {

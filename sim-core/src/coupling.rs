@@ -201,6 +201,19 @@ impl Aabb {
             max: std::array::from_fn(|d| self.max[d].max(other.max[d])),
         }
     }
+    /// With an end where it has none: that of `other`, or its own other end, if that lies further.
+    #[must_use]
+    pub fn ended_by(mut self, other: &Self) -> Self {
+        for d in 0..3 {
+            if self.min[d] == f64::NEG_INFINITY {
+                self.min[d] = other.min[d].min(self.max[d]);
+            }
+            if self.max[d] == f64::INFINITY {
+                self.max[d] = other.max[d].max(self.min[d]);
+            }
+        }
+        self
+    }
     /// What both hold; its ends are the wrong way round where they share nothing.
     #[must_use]
     pub fn intersection(&self, other: &Self) -> Self {

@@ -498,7 +498,10 @@ impl Coupling for Robots {
     }
 
     fn bounds(&self) -> Vec<Aabb> {
-        self.all().map(|(robot, body)| robot.bounds(body, self.scene.world.cell)).collect()
+        let (cell, world) = (self.scene.world.cell, self.scene.world_box());
+        // A tool that a servo pushes may be a plane.
+        let world = world.grown(4.0 * cell);
+        self.all().map(|(robot, body)| robot.bounds(body, cell).ended_by(&world)).collect()
     }
 
     fn reach(&self) -> f64 {

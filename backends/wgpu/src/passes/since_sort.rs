@@ -3,6 +3,7 @@
 use barchan_core::Plan;
 use barchan_core::scene::Wall;
 use barchan_grid::due::{self, ON_DEVICE, is_sort_due};
+use barchan_grid::limits::MAX_DRIFT;
 use barchan_grid::wgsl;
 
 /// What passes know of it.
@@ -26,6 +27,9 @@ pub(crate) struct SinceSort {
 }
 
 impl SinceSort {
+    /// Sorted, and to be sorted again before the next step, however far particles may drift.
+    pub(crate) const DUE: Self = Self { age: 0, drift: MAX_DRIFT as f32 };
+
     /// Must the world be sorted before its next step, if particles may drift by so much?
     pub(crate) fn is_due(self, most: f32) -> bool {
         is_sort_due(self.age, self.drift, most, &ON_DEVICE)

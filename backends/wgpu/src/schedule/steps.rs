@@ -105,7 +105,12 @@ impl WgpuBatch {
                 failed[*t] = taken?.err();
                 let world = world_steps[*t].world;
                 if outcome.status.is_astray(self.layers_of(world)) && self.worlds[world].torn.is_none() {
-                    self.adapt(world, None, world_steps[*t].couplings)?;
+                    if done == 0 {
+                        self.adapt(world, None, world_steps[*t].couplings)?;
+                    } else {
+                        // It belongs to the next step, whose length is chosen before it: as if that were asked for alone, its sort finds them again.
+                        self.worlds[world].be_due();
+                    }
                 }
             }
             for &t in &going {

@@ -319,6 +319,11 @@ impl World {
         limits::bound(speed, self.stiffness())
     }
 
+    /// Its particles are to be sorted before its next step.
+    pub(crate) fn be_due(&mut self) {
+        self.levels.iter_mut().for_each(|level| level.since_sort = SinceSort::DUE);
+    }
+
     /// What depends on the particles as they come in.
     pub(crate) fn take_stock(&mut self, lists: &[ParticleList], sort: Option<&SortPhase>) -> Result<()> {
         let masses = lists.iter().flat_map(|list| &list.mass);
@@ -335,8 +340,7 @@ impl World {
         // Without a phase, they lie as a sort would put them, but nobody has looked yet who of them is outside the world: a sort is due.
         for (l, level) in self.levels.iter_mut().enumerate() {
             let drift = |sort: &SortPhase| sort.drift.get(l).map_or(MAX_DRIFT as f32, |drift| *drift as f32);
-            let unseen = SinceSort { age: 0, drift: MAX_DRIFT as f32 };
-            level.since_sort = sort.map_or(unseen, |sort| SinceSort { age: sort.age, drift: drift(sort) });
+            level.since_sort = sort.map_or(SinceSort::DUE, |sort| SinceSort { age: sort.age, drift: drift(sort) });
         }
         if let Some(sort) = sort {
             for bound in [&mut self.needed, &mut self.asked].into_iter().filter(|bound| bound.dt.is_finite()) {
