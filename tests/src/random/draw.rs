@@ -13,7 +13,7 @@ use toml::{Table, Value};
 type Json = serde_json::Value;
 
 /// The meshes, heights and pictures that scenes name, by file.
-const FILES: [(&str, &[u8]); 8] = [
+const FILES: [(&str, &[u8]); 9] = [
     (
         "cube.obj",
         b"v -1 -1 -1\nv 1 -1 -1\nv 1 1 -1\nv -1 1 -1\nv -1 -1 1\nv 1 -1 1\nv 1 1 1\nv -1 1 1\nf 1 4 3 2\nf 5 6 7 8\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\n",
@@ -22,6 +22,7 @@ const FILES: [(&str, &[u8]); 8] = [
     // Open at the top, with walls.
     ("bucket.obj", b"v -0.15 -0.15 0\nv 0.15 -0.15 0\nv 0.15 0.15 0\nv -0.15 0.15 0\nv -0.15 -0.15 0.2\nv 0.15 -0.15 0.2\nv 0.15 0.15 0.2\nv -0.15 0.15 0.2\nv -0.11 -0.11 0.2\nv 0.11 -0.11 0.2\nv 0.11 0.11 0.2\nv -0.11 0.11 0.2\nv -0.11 -0.11 0.04\nv 0.11 -0.11 0.04\nv 0.11 0.11 0.04\nv -0.11 0.11 0.04\nf 4 3 2 1\nf 13 14 15 16\nf 1 2 6 5\nf 2 3 7 6\nf 3 4 8 7\nf 4 1 5 8\nf 5 6 10 9\nf 6 7 11 10\nf 7 8 12 11\nf 8 5 9 12\nf 9 10 14 13\nf 10 11 15 14\nf 11 12 16 15\nf 12 9 13 16\n"),
     ("loader.urdf", LOADER),
+    ("pail.urdf", PAIL),
     ("cloud.csv", b"x,y,z\n0.1,0.1,0.1\n0.3,0.2,0.1\n"),
     ("point.csv", b"0,0,0\n"),
     ("heights.csv", b"0.4,0.6,0.5\n0.7,1.0,0.6\n0.5,0.8,0.4\n"),
@@ -54,6 +55,22 @@ const LOADER: &[u8] = br#"<robot name="loader">
   </joint>
   <joint name="tilt" type="revolute">
     <parent link="arm"/><child link="bucket"/><origin xyz="0.55 0 -0.1"/><axis xyz="0 1 0"/><limit lower="-2" upper="2" effort="50" velocity="5"/>
+  </joint>
+</robot>
+"#;
+
+/// Another: a bucket that slides down from a body.
+const PAIL: &[u8] = br#"<robot name="pail">
+  <link name="body">
+    <inertial><mass value="3"/><inertia ixx="0.02" iyy="0.02" izz="0.02" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><mesh filename="tetra.obj" scale="0.1 0.1 0.1"/></geometry></collision>
+  </link>
+  <link name="bucket">
+    <inertial><origin xyz="0 0 0.08"/><mass value="2"/><inertia ixx="0.03" iyy="0.03" izz="0.03" ixy="0" ixz="0" iyz="0"/></inertial>
+    <collision><geometry><mesh filename="bucket.obj"/></geometry></collision>
+  </link>
+  <joint name="down" type="prismatic">
+    <parent link="body"/><child link="bucket"/><origin xyz="0 0 -0.4"/><axis xyz="0 0 1"/><limit lower="-0.2" upper="0.1" effort="100" velocity="2"/>
   </joint>
 </robot>
 "#;
@@ -641,15 +658,15 @@ fn entries<'a>(scene: &'a mut Table, list: &str) -> impl Iterator<Item = &'a mut
 /// A robot that comes with the program, or one with meshes, somewhere in the world: as such it is a metre high, and the world is of any size.
 fn robot(frame: &mut Frame, name: &str) -> Table {
     let mut robot = Table::new();
-    let model = frame.pick(&["quadruped", "humanoid", "arm", "arm-rod", "arm-shovel", "arm-scraper", "loader"]);
+    let model = frame.pick(&["quadruped", "humanoid", "arm", "arm-rod", "arm-shovel", "arm-scraper", "meshes"]);
     let mut set = |key: &str, value: Value| drop(robot.insert(key.to_owned(), value));
     set("name", Value::String(name.to_owned()));
-    if model == "loader" {
-        set("urdf", Value::String("loader.urdf".to_owned()));
-        let links =
-            Table::from_iter([("exact_links".to_owned(), Value::Array(vec![Value::String("buck*".to_owned())]))]);
-        let meshes =
-            ["hull", "exact"].map(|all| Value::String(all.to_owned())).into_iter().chain([Value::Table(links)]);
+    if model == "meshes" {
+        set("urdf", Value::String(frame.pick(&["loader.urdf", "pail.urdf"]).to_owned()));
+        let links = frame.pick(&[&["buck*"][..], &["body", "bucket"]]);
+        let links = links.iter().map(|link| Value::String((*link).to_owned())).collect();
+        let links = Value::Table(Table::from_iter([("exact_links".to_owned(), Value::Array(links))]));
+        let meshes = ["hull", "exact"].map(|all| Value::String(all.to_owned())).into_iter().chain([links]);
         set("collision_meshes", frame.pick(&meshes.collect::<Vec<_>>()));
     } else {
         set("model", Value::String(model.to_owned()));
