@@ -240,9 +240,7 @@ def checked_actions(
     actions: Any, shape: tuple[int, ...], names: Sequence[str] | None, low: NDArray[Any], high: NDArray[Any]
 ) -> NDArray[np.float64]:
     """Actions as finite numbers of a shape. Each number is called by its name, or by its place without names; `low` and `high` are its limits in one world."""
-    if hasattr(actions, "detach"):
-        actions = actions.detach().cpu().numpy()
-    given = np.asarray(actions)
+    given = as_array(actions)
     if given.dtype.kind not in "fiu":
         raise TypeError(f"action: its dtype is {given.dtype}; give numbers, float32 for example")
     if given.shape != shape:
@@ -255,6 +253,11 @@ def checked_actions(
         name = names[own[0]] if names is not None else f"number {', '.join(map(str, own))}" if own else "the number"
         raise BodyError(f"action: {where}{name} is {given[place]}; give a number from {low[own]:g} to {high[own]:g}")
     return given
+
+
+def as_array(values: Any) -> NDArray[Any]:
+    """A copy of numbers, or of a tensor's, as an array."""
+    return np.array(values.detach().cpu().numpy() if hasattr(values, "detach") else values)
 
 
 def torch_device(torch: bool | str) -> str | None:

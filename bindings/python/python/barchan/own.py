@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from barchan._core import Simulation, State, View
-from barchan._vector import Step, WorldsVectorEnv, check_count, checked_actions, checked_seeds, reset_needed
+from barchan._vector import Step, WorldsVectorEnv, as_array, check_count, checked_actions, checked_seeds, reset_needed
 from barchan.errors import BodyError, SimulationError
 
 import gymnasium
@@ -325,7 +325,7 @@ class SceneVectorEnv(WorldsVectorEnv):
         space = self.single_action_space
         if isinstance(space, spaces.Box):
             return checked_actions(actions, (self.num_envs, *space.shape), None, space.low, space.high)
-        given = np.array(actions.detach().cpu().numpy() if hasattr(actions, "detach") else actions)
+        given = as_array(actions)
         whole = given.astype(self.action_space.dtype) if given.dtype.kind in "iu" else None
         if whole is None or not (np.array_equal(whole, given) and self.action_space.contains(whole)):
             raise BodyError(f"action: {given!r} (dtype {given.dtype}) is none of {self.action_space}; give whole numbers of that shape, within its limits")
@@ -360,7 +360,7 @@ class SceneVectorEnv(WorldsVectorEnv):
 
     def __numbers(self, values: Any, name: str, kinds: str) -> NDArray[Any]:
         try:
-            given = np.array(values.detach().cpu().numpy() if hasattr(values, "detach") else values)
+            given = as_array(values)
         except ValueError as error:
             raise ValueError(f"{name}: it is no array: {error}") from error
         if given.dtype.kind not in kinds:
