@@ -75,7 +75,7 @@ impl WgpuBatch {
         self.write_regions(w, candidates);
         let have_moved = self.worlds[w].levels.iter().any(|level| level.since_sort.drift != 0.0);
         if have_moved {
-            self.worlds[w].levels.iter_mut().for_each(|level| level.since_sort.drift = f32::INFINITY);
+            self.worlds[w].be_due();
         }
         if have_moved || self.unlinked {
             self.sort(w)?;

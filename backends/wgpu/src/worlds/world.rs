@@ -319,7 +319,7 @@ impl World {
         limits::bound(speed, self.stiffness())
     }
 
-    /// Its particles are to be sorted before its next step.
+    /// Its particles are to be sorted, at once or before its next step.
     pub(crate) fn be_due(&mut self) {
         self.levels.iter_mut().for_each(|level| level.since_sort = SinceSort::DUE);
     }
