@@ -137,8 +137,8 @@ fn the_derivative_at_rest_is_linear_elasticity() {
             } else {
                 Mat3::from_components(f_planes).times_transpose().into_planes()
             };
-            let law = M::law(&[Dual::constant(T::splat(YOUNG)), Dual::constant(T::splat(POISSON))]);
-            let zero = Dual::constant(T::zero());
+            let law = M::law(&[Dual::fixed(T::splat(YOUNG)), Dual::fixed(T::splat(POISSON))]);
+            let zero = Dual::fixed(T::zero());
             let x =
                 MatIn { strain: M::Strain::from_planes(strain), vel_grad: Mat3::from_components([zero; 9]), dt: zero };
             let stress = M::update(&law, x, &mut []).kirchhoff;

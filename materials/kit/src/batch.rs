@@ -40,7 +40,7 @@ impl<M: Material> Table<M> {
             update_f32: Some(update::<M, BarchanBatchF32>),
             update_adj_f32: None,
             update_f64: Some(update::<M, BarchanBatchF64>),
-            update_adj_f64: None,
+            update_adj_f64: Some(crate::adjoint::update_adj::<M>),
             tangent_moduli_f32: Some(tangent_moduli::<M>),
             energy_f64: Some(energy::<M>),
             check_params: Some(check_params::<M>),
@@ -78,14 +78,14 @@ macro_rules! export_materials {
 }
 
 /// Why a callback failed.
-struct Failure {
-    status: BarchanStatus,
-    message: String,
-    particle: u64,
+pub(crate) struct Failure {
+    pub(crate) status: BarchanStatus,
+    pub(crate) message: String,
+    pub(crate) particle: u64,
 }
 
 impl Failure {
-    fn new(status: BarchanStatus, message: impl Into<String>) -> Self {
+    pub(crate) fn new(status: BarchanStatus, message: impl Into<String>) -> Self {
         Self { status, message: message.into(), particle: u64::MAX }
     }
 }
@@ -94,7 +94,7 @@ impl Failure {
 ///
 /// # Safety
 /// `error` must be NULL or point to a struct of the size that it declares, with a buffer of the capacity that it declares.
-unsafe fn guard(error: *mut BarchanError, callback: impl FnOnce() -> Result<(), Failure>) -> BarchanStatus {
+pub(crate) unsafe fn guard(error: *mut BarchanError, callback: impl FnOnce() -> Result<(), Failure>) -> BarchanStatus {
     let failure = match catch_unwind(AssertUnwindSafe(callback)) {
         Ok(Ok(())) => return BARCHAN_OK,
         Ok(Err(failure)) => failure,
@@ -129,7 +129,7 @@ unsafe fn report(error: *mut BarchanError, failure: &Failure) {
 }
 
 /// The two structs of the ABI that describe a batch.
-trait AbiBatch {
+pub(crate) trait AbiBatch {
     type Scalar: Float;
     const SIZE: usize;
     /// The fields, in the precision-free form that the walk over the batch takes.
@@ -166,11 +166,11 @@ abi_batch!(BarchanBatchF64, f64);
 
 /// A batch in either precision.
 #[derive(Clone, Copy)]
-struct Batch<T> {
-    n: usize,
-    dt: T,
-    params: *const T,
-    inputs: Planes<T>,
+pub(crate) struct Batch<T> {
+    pub(crate) n: usize,
+    pub(crate) dt: T,
+    pub(crate) params: *const T,
+    pub(crate) inputs: Planes<T>,
     strain: *mut T,
     kirchhoff: *mut T,
     state_out: *mut T,
@@ -178,11 +178,11 @@ struct Batch<T> {
 
 /// What is read of the particles: component c of particle i is `ptr[c * stride + i]`.
 #[derive(Clone, Copy)]
-struct Planes<T> {
-    strain: *const T,
-    vel_grad: *const T,
-    state: *const T,
-    stride: usize,
+pub(crate) struct Planes<T> {
+    pub(crate) strain: *const T,
+    pub(crate) vel_grad: *const T,
+    pub(crate) state: *const T,
+    pub(crate) stride: usize,
 }
 
 /// Up to three blocks of planes that a job writes.
@@ -193,7 +193,7 @@ type Outputs<T> = [*mut T; 3];
 /// # Safety
 /// `batch` must be NULL or point to a struct of the size that it declares.
 #[inline(always)]
-unsafe fn open<M: Material, B: AbiBatch>(batch: *const B) -> Result<Batch<B::Scalar>, Failure> {
+pub(crate) unsafe fn open<M: Material, B: AbiBatch>(batch: *const B) -> Result<Batch<B::Scalar>, Failure> {
     let bad = |what: String| Failure::new(BARCHAN_E_OTHER, format!("material '{}': {what}", M::NAME));
     if batch.is_null() {
         return Err(bad("the batch is NULL".into()));

@@ -7,6 +7,7 @@
 
 mod contract;
 mod elastic;
+mod gradient;
 mod moduli;
 mod paths;
 mod rates;
@@ -205,6 +206,7 @@ const CHECKS: &[Check] = &[
         run: elastic::derives_from_energy,
     },
     Check { name: "f32 agrees with f64 near rest", tolerance: [1e-5; 2], run: contract::precisions_agree },
+    Check { name: "gradients are those of the answers", tolerance: [1e-6; 2], run: gradient::follows_answers },
     Check { name: "tangent moduli at rest", tolerance: [1e-4, 1e-2], run: moduli::at_rest },
     Check { name: "tangent moduli are positive", tolerance: [0.0; 2], run: moduli::are_positive },
     Check { name: "tangent moduli bound the measured tangent", tolerance: [0.1; 2], run: moduli::bound_the_tangent },

@@ -47,9 +47,13 @@ impl Param {
     pub const fn log_scale(self) -> Self {
         self.flag(BARCHAN_PARAM_LOG_SCALE)
     }
-    /// The stress is differentiable with respect to it. A property of the law: the kit gives no gradients yet.
+    /// The stress is differentiable with respect to it: gradients tell what it does.
     pub const fn differentiable(self) -> Self {
         self.flag(BARCHAN_PARAM_DIFFERENTIABLE)
+    }
+    /// Do gradients tell what it does?
+    pub const fn is_differentiable(&self) -> bool {
+        self.0.flags & BARCHAN_PARAM_DIFFERENTIABLE != 0
     }
     /// The value used where the scene is silent.
     pub const fn default_value(&self) -> f64 {

@@ -10,6 +10,7 @@
 //! - [`param`], [`state`]: declarations, which scene files are checked against.
 #![expect(unsafe_code, reason = "the C interface is raw pointers")]
 
+mod adjoint;
 mod batch;
 pub mod conformance;
 mod declare;

@@ -66,42 +66,103 @@ pub fn near_identity<T: Real>(b: SymMat3<T>) -> T::Mask {
 }
 
 /// Eigenvalues and eigenvectors of a symmetric tensor, in no particular order.
+///
+/// Of a tensor that varies, eigenvectors are those of its value alone: they turn without bound where two eigenvalues meet, while functions of the tensor
+/// do not. What it has off its diagonal as these vectors see it is kept instead, a derivative without a value, and [`compose`](Self::compose) takes it up.
 #[derive(Clone, Copy, Debug)]
 pub struct Eigen<T> {
     /// The eigenvalues.
     pub values: [T; 3],
     /// `vectors[k]` belongs to `values[k]`; they are orthonormal.
     pub vectors: [[T; 3]; 3],
+    /// Entries 01, 02 and 12 as the vectors see them.
+    off: [T; 3],
 }
 
+/// The pairs of eigenvectors, as [`Eigen`] keeps what lies between them.
+const PAIRS: [(usize, usize); 3] = [(0, 1), (0, 2), (1, 2)];
+
+/// Eigenvalues that are closer than this, as a part of the greater one, count as equal in a divided difference: its error is a hundred-billionth either way.
+const EQUAL: f64 = 1e-5;
+
 impl<T: Real> Eigen<T> {
+    /// Of a tensor with these eigenvalues and eigenvectors.
+    #[inline(always)]
+    pub fn new(values: [T; 3], vectors: [[T; 3]; 3]) -> Self {
+        Self { values, vectors, off: [T::zero(); 3] }
+    }
+
     /// Cyclic Jacobi rotations, a fixed number of sweeps: errors below 10⁻⁶ (f32) and 10⁻¹⁴ (f64) of the largest entry.
     #[inline(always)]
     pub fn of(a: SymMat3<T>) -> Self {
         let sweeps = if T::EPSILON > 1e-10 { 3 } else { 5 };
         let [mut u0, mut u1, mut u2] = Mat3::identity().rows;
-        let SymMat3 { mut xx, mut yy, mut zz, mut xy, mut xz, mut yz } = a;
+        let SymMat3 { mut xx, mut yy, mut zz, mut xy, mut xz, mut yz } = if T::VARIES { constant(a) } else { a };
         for _ in 0..sweeps {
             rotate(&mut xx, &mut yy, &mut xy, &mut xz, &mut yz, &mut u0, &mut u1);
             rotate(&mut xx, &mut zz, &mut xz, &mut xy, &mut yz, &mut u0, &mut u2);
             rotate(&mut yy, &mut zz, &mut yz, &mut xy, &mut xz, &mut u1, &mut u2);
         }
-        Self { values: [xx, yy, zz], vectors: [u0, u1, u2] }
+        let vectors = [u0, u1, u2];
+        if !T::VARIES {
+            return Self::new([xx, yy, zz], vectors);
+        }
+        let seen = |i: usize, j: usize| seen_by(a, vectors[i], vectors[j]);
+        Self { values: [seen(0, 0), seen(1, 1), seen(2, 2)], vectors, off: PAIRS.map(|(i, j)| seen(i, j)) }
     }
 
-    /// The tensor with these eigenvectors and the eigenvalues `values`.
+    /// The tensor with these eigenvectors and the eigenvalues `values`, which are those of a function of the tensor; `slopes` are that function's derivatives
+    /// by the eigenvalues, which are asked for only where the tensor varies.
     #[inline(always)]
-    pub fn compose(&self, values: [T; 3]) -> SymMat3<T> {
+    pub fn compose(&self, values: [T; 3], slopes: [T; 3]) -> SymMat3<T> {
         let [u, v, w] = self.vectors;
         let scaled = [scale(u, values[0]), scale(v, values[1]), scale(w, values[2])];
-        SymMat3 {
+        let composed = SymMat3 {
             xx: self.entry(scaled, 0, 0),
             yy: self.entry(scaled, 1, 1),
             zz: self.entry(scaled, 2, 2),
             xy: self.entry(scaled, 0, 1),
             xz: self.entry(scaled, 0, 2),
             yz: self.entry(scaled, 1, 2),
+        };
+        if T::VARIES { composed + self.between(self.function(values, slopes).off) } else { composed }
+    }
+
+    /// Eigenvalues `values` of a function of the tensor with its eigenvectors, and what a tensor that varies then has between these: with divided
+    /// differences, whose limit where eigenvalues are equal is the slope (Higham 2008, "Functions of matrices", theorem 3.11).
+    #[inline(always)]
+    fn function(&self, values: [T; 3], slopes: [T; 3]) -> Self {
+        let mut off = self.off;
+        if T::VARIES {
+            for (off, (i, j)) in off.iter_mut().zip(PAIRS) {
+                let [a, b] = [self.values[i].constant(), self.values[j].constant()];
+                let equal = (a - b).abs().le(a.abs().max(b.abs()) * T::splat(EQUAL));
+                let quotient = (values[i] - values[j]).constant() / T::select(equal, T::one(), a - b);
+                let slope = T::splat(0.5) * (slopes[i] + slopes[j]).constant();
+                *off = *off * T::select(equal, slope, quotient);
+            }
         }
+        Self { values, vectors: self.vectors, off }
+    }
+
+    /// The tensor that has these entries between the eigenvectors, and none on its diagonal.
+    #[inline(always)]
+    fn between(&self, off: [T; 3]) -> SymMat3<T> {
+        let mut sum = SymMat3::scalar(T::zero());
+        for (off, (i, j)) in off.into_iter().zip(PAIRS) {
+            let (u, v) = (self.vectors[i], self.vectors[j]);
+            let both = |a: usize, b: usize| off * u[a].mul_add(v[b], u[b] * v[a]);
+            sum = sum
+                + SymMat3 {
+                    xx: both(0, 0),
+                    yy: both(1, 1),
+                    zz: both(2, 2),
+                    xy: both(0, 1),
+                    xz: both(0, 2),
+                    yz: both(1, 2),
+                };
+        }
+        sum
     }
 
     #[inline(always)]
@@ -111,12 +172,46 @@ impl<T: Real> Eigen<T> {
     }
 }
 
+/// u · a v.
+#[inline(always)]
+fn seen_by<T: Real>(a: SymMat3<T>, u: [T; 3], v: [T; 3]) -> T {
+    let rows = [[a.xx, a.xy, a.xz], [a.xy, a.yy, a.yz], [a.xz, a.yz, a.zz]];
+    let mut sum = T::zero();
+    for i in 0..3 {
+        sum = u[i].mul_add(rows[i][0].mul_add(v[0], rows[i][1].mul_add(v[1], rows[i][2] * v[2])), sum);
+    }
+    sum
+}
+
+/// The tensor without its derivatives.
+#[inline(always)]
+fn constant<T: Real>(a: SymMat3<T>) -> SymMat3<T> {
+    SymMat3::from_components(a.components().map(T::constant))
+}
+
 // Helpers are functions, never closures: a closure cannot be told to be inlined always, and one that is not is compiled
 // without the vector instructions.
 
 #[inline(always)]
 fn scale<T: Real>([x, y, z]: [T; 3], s: T) -> [T; 3] {
     [x * s, y * s, z * s]
+}
+
+/// Derivative of ½ ln max(x, `least`).
+#[inline(always)]
+fn slope_of_log<T: Real>(x: T, least: T) -> T {
+    T::select(x.lt(least), T::zero(), T::splat(0.5) / x.max(least))
+}
+
+/// Derivatives of square roots by what they are the roots of: none at 0, where there is none.
+#[inline(always)]
+fn slopes_of_root<T: Real>(roots: [T; 3]) -> [T; 3] {
+    let mut slopes = [T::zero(); 3];
+    for (slope, root) in slopes.iter_mut().zip(roots) {
+        let some = root.abs().gt(T::splat(T::TINY));
+        *slope = T::select(some, T::splat(0.5) / T::select(some, root, T::one()), T::zero());
+    }
+    slopes
 }
 
 #[inline(always)]
@@ -180,13 +275,14 @@ impl<T: Real> Hencky<T> {
             return Self { strain, floored: T::Mask::splat(false), near, far: None };
         }
         let least = T::splat(MIN_STRETCH_SQUARED);
-        let mut eigen = Eigen::of(b);
+        let eigen = Eigen::of(b);
         let [x, y, z] = eigen.values;
         let floored = (x.lt(least) | y.lt(least) | z.lt(least)) & !near;
-        for value in &mut eigen.values {
-            *value = T::splat(0.5) * value.max(least).ln();
-        }
-        let mut strain = eigen.compose(eigen.values);
+        let half = T::splat(0.5);
+        let logs = [half * x.max(least).ln(), half * y.max(least).ln(), half * z.max(least).ln()];
+        let slopes = [slope_of_log(x, least), slope_of_log(y, least), slope_of_log(z, least)];
+        let mut strain = eigen.compose(logs, slopes);
+        let eigen = eigen.function(logs, slopes);
         if near.any() {
             strain = SymMat3::select(near, half_log_near_identity(b), strain);
         }
@@ -206,7 +302,8 @@ impl<T: Real> Hencky<T> {
                 let [x, y, z] = eigen.values;
                 let mean = (x + y + z) * T::splat(1.0 / 3.0);
                 let stretches = [(twice * (x - mean)).exp(), (twice * (y - mean)).exp(), (twice * (z - mean)).exp()];
-                let mut shape = eigen.compose(stretches);
+                let slopes = [twice * stretches[0], twice * stretches[1], twice * stretches[2]];
+                let mut shape = eigen.compose(stretches, slopes);
                 if self.near.any() {
                     shape = SymMat3::select(self.near, exp_near_zero(twice_deviator), shape);
                 }
@@ -239,11 +336,12 @@ pub fn left_stretch<T: Real>(f: Mat3<T>) -> SymMat3<T> {
     let others = T::select(x_is_least, y * z, T::select(y_is_least, x * z, x * y));
     // The product of the other two is as small as this only where j is smaller still.
     let least = j / positive_root(others).max(T::splat(1e-12));
-    let far = eigen.compose([
+    let stretches = [
         T::select(x_is_least, least, positive_root(x)),
         T::select(y_is_least, least, positive_root(y)),
         T::select(z_is_least, least, positive_root(z)),
-    ]);
+    ];
+    let far = eigen.compose(stretches, slopes_of_root(stretches));
     SymMat3::select(near, stretch, far)
 }
 
@@ -283,7 +381,8 @@ pub fn sqrt<T: Real>(b: SymMat3<T>) -> SymMat3<T> {
     }
     let eigen = Eigen::of(b);
     let [x, y, z] = eigen.values;
-    let far = eigen.compose([positive_root(x), positive_root(y), positive_root(z)]);
+    let roots = [positive_root(x), positive_root(y), positive_root(z)];
+    let far = eigen.compose(roots, slopes_of_root(roots));
     SymMat3::select(near, root, far)
 }
 
@@ -319,7 +418,7 @@ mod tests {
             .into_iter()
             .map(|values| {
                 let rotation = random.rotation();
-                Eigen { values, vectors: rotation.transpose().rows }.compose(values)
+                Eigen::new(values, rotation.transpose().rows).compose(values, [1.0; 3])
             })
             .collect()
     }
@@ -331,8 +430,9 @@ mod tests {
             let exact = SymMat3::from_components(a.components().map(T::to_f64));
             let eigen = Eigen::of(a);
             let scale = exact.norm_squared().sqrt();
-            residual = residual.max(distance(eigen.compose(eigen.values), exact) / scale);
-            orthogonality = orthogonality.max(distance(eigen.compose([T::one(); 3]), SymMat3::identity()));
+            residual = residual.max(distance(eigen.compose(eigen.values, [T::one(); 3]), exact) / scale);
+            orthogonality =
+                orthogonality.max(distance(eigen.compose([T::one(); 3], [T::zero(); 3]), SymMat3::identity()));
         }
         (residual, orthogonality)
     }
@@ -358,12 +458,14 @@ mod tests {
             let b = a.scale(norm / a.norm_squared().sqrt()).add_scalar(1.0);
             let log = Hencky::of(b);
             let eigen = Eigen::of(b);
-            let exact = eigen.compose(eigen.values.map(|v| 0.5 * v.ln()));
+            let exact = eigen.compose(eigen.values.map(|v| 0.5 * v.ln()), eigen.values.map(|v| 0.5 / v));
             seam = seam.max(distance(log.strain, exact));
             inverse = inverse.max(distance(log.rescaled(1.0, log.strain.trace()), b));
             root = root.max(
-                distance(sqrt_near_identity(b), eigen.compose(eigen.values.map(f64::sqrt)))
-                    * f64::from(u8::from(norm < NEAR)),
+                distance(
+                    sqrt_near_identity(b),
+                    eigen.compose(eigen.values.map(f64::sqrt), eigen.values.map(|v| 0.5 / v.sqrt())),
+                ) * f64::from(u8::from(norm < NEAR)),
             );
         }
         println!("logarithm {seam:.1e}, exponential {inverse:.1e}, square root {root:.1e}, tolerance 1e-14");
@@ -392,7 +494,7 @@ mod tests {
         let mut worst = 0f64;
         for stretches in [[1.2, 0.9, -0.3], [1.0, 1.0, -0.9], [1.1, 0.7, 0.0], [1.0, 1.0, 1e-9], [1.0, 1.0, 1.0]] {
             let (u, v) = (random.rotation(), random.rotation());
-            let exact = Eigen { values: stretches, vectors: u.transpose().rows }.compose(stretches);
+            let exact = Eigen::new(stretches, u.transpose().rows).compose(stretches, [1.0; 3]);
             let f = Mat3::from(exact) * v;
             worst = worst.max(distance(left_stretch(f), exact));
         }

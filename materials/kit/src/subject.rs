@@ -1,6 +1,6 @@
 //! A host in miniature: calls a material's table from safe code, in either precision.
 
-use barchan_abi::batch::{Batch, Inputs, Number, Outputs};
+use barchan_abi::batch::{Adjoint, Batch, Cotangents, Inputs, Number, Outputs};
 use barchan_abi::*;
 use barchan_lanes::Float;
 use core::fmt;
@@ -318,6 +318,63 @@ impl<'a> Subject<'a> {
         // SAFETY: as in `update_strided`; `energy` holds one plane of n.
         self.with::<f64>(params, 0.0, particles, n, |batch, error| unsafe { callback(batch, out, error) })?;
         Ok(Some(energy))
+    }
+
+    /// Cotangents of what the f64 update is given, from those of what it answers: of each particle's strain, velocity gradient and history, and of the
+    /// parameters, summed over all particles. `None` if the table lacks the callback.
+    ///
+    /// # Errors
+    /// What the callback answers.
+    ///
+    /// # Panics
+    /// If there are not as many cotangents as particles.
+    pub fn pull_back(
+        &self,
+        params: &[f64],
+        dt: f64,
+        particles: &[Particle],
+        cotangents: &[Answer],
+    ) -> Result<Option<(Vec<Particle>, Vec<f64>)>, SubjectError> {
+        let Some(callback) = self.table.update_adj_f64 else { return Ok(None) };
+        let n = particles.len();
+        assert_eq!(n, cotangents.len(), "a cotangent for each particle");
+        let (strains, states) = (self.strain_planes(), self.table.n_state);
+        let planes = |count: usize, of: &dyn Fn(&Answer, usize) -> f64| -> Vec<f64> {
+            (0..count).flat_map(|c| cotangents.iter().map(move |cotangent| of(cotangent, c))).collect()
+        };
+        let strain = planes(strains, &|cotangent, c| cotangent.strain[c]);
+        let kirchhoff = planes(6, &|cotangent, c| cotangent.kirchhoff[c]);
+        let state = planes(states, &|cotangent, c| cotangent.state[c]);
+        let (mut trial, mut vel_grad) = (vec![0.0; strains * n], vec![0.0; 9 * n]);
+        let (mut before, mut of_params) = (vec![0.0; states * n], vec![0.0; self.table.n_params]);
+        let adjoint = Adjoint::new(
+            self.table,
+            n,
+            Cotangents {
+                strain: &strain,
+                kirchhoff: &kirchhoff,
+                state: &state,
+                strain_trial: &mut trial,
+                vel_grad: &mut vel_grad,
+                state_in: &mut before,
+                params: &mut of_params,
+            },
+        );
+        // SAFETY: as in `update_strided`; the cotangents have the batch's planes.
+        self.with::<f64>(params, dt, particles, n, |batch, error| unsafe { callback(batch, adjoint.as_raw(), error) })?;
+        let of_particle = |i: usize| {
+            let mut particle = Particle { strain: [0.0; 9], vel_grad: [0.0; 9], state: [0.0; MOST_STATES] };
+            let into = [
+                (&mut particle.strain[..strains], &trial),
+                (&mut particle.vel_grad[..], &vel_grad),
+                (&mut particle.state[..states], &before),
+            ];
+            for (to, from) in into {
+                to.iter_mut().enumerate().for_each(|(c, to)| *to = from[c * n + i]);
+            }
+            particle
+        };
+        Ok(Some(((0..n).map(of_particle).collect(), of_params)))
     }
 
     /// Counts of the batch, in the order of `BARCHAN_COUNT_*`; `None` if the table lacks the callback.

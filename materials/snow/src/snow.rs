@@ -60,6 +60,12 @@ fn outside<T: Real>(x: T, (least, greatest): (T, T)) -> T::Mask {
     x.lt(least) | x.gt(greatest)
 }
 
+/// 1 for what a clamp leaves as it is, 0 for what it holds.
+#[inline(always)]
+fn follows<T: Real>(x: T, bounds: (T, T)) -> T {
+    T::select(outside(x, bounds), T::zero(), T::one())
+}
+
 /// Principal stretch of an eigenvalue of b.
 #[inline(always)]
 fn stretch<T: Real>(eigenvalue: T) -> T {
@@ -123,8 +129,11 @@ impl Material for Snow {
             let least = T::splat(MIN_STRETCH_SQUARED);
             floored = (a.lt(least) | b.lt(least) | c.lt(least)) & !inside;
             let squares = [kept[0] * kept[0], kept[1] * kept[1], kept[2] * kept[2]];
-            strain = SymMat3::select(yielding, eigen.compose(squares), trial);
-            left = SymMat3::select(inside, left, eigen.compose(kept));
+            let follows = [follows(tried[0], bounds), follows(tried[1], bounds), follows(tried[2], bounds)];
+            let half = T::splat(0.5);
+            let slopes = [half * follows[0] / kept[0], half * follows[1] / kept[1], half * follows[2] / kept[2]];
+            strain = SymMat3::select(yielding, eigen.compose(squares, follows), trial);
+            left = SymMat3::select(inside, left, eigen.compose(kept, slopes));
             let lost = tried[0] * tried[1] * tried[2] / (kept[0] * kept[1] * kept[2]);
             plastic_volume = T::select(yielding, plastic_volume * lost, plastic_volume);
         }

@@ -176,3 +176,70 @@ impl<'a, T: Number> Batch<'a, T> {
         &raw const self.raw
     }
 }
+
+/// Cotangents of a batch: those of what an update writes, which are read, and those of what it reads, which are added to. Planes are as far apart as the
+/// batch's.
+#[derive(Debug)]
+pub struct Cotangents<'a> {
+    /// Of the strain.
+    pub strain: &'a [f64],
+    /// Of the Kirchhoff stress, 6 planes.
+    pub kirchhoff: &'a [f64],
+    /// Of the history after.
+    pub state: &'a [f64],
+    /// Of the trial strain.
+    pub strain_trial: &'a mut [f64],
+    /// Of the velocity gradient, 9 planes; left alone if the material does not ask for it.
+    pub vel_grad: &'a mut [f64],
+    /// Of the history before.
+    pub state_in: &'a mut [f64],
+    /// Of the parameters.
+    pub params: &'a mut [f64],
+}
+
+/// Cotangents that the adjoint of a material's update can be handed.
+#[derive(Debug)]
+pub struct Adjoint<'a> {
+    raw: BarchanAdjointF64,
+    memory: PhantomData<&'a mut [f64]>,
+}
+
+impl<'a> Adjoint<'a> {
+    /// Cotangents of a batch with planes `stride` apart.
+    ///
+    /// # Panics
+    /// If a slice is shorter than the planes that the material declares: the host has made it, nothing that a user says.
+    pub fn new(table: &BarchanMaterial, stride: usize, cotangents: Cotangents<'a>) -> Self {
+        let Cotangents { strain, kirchhoff, state, strain_trial, vel_grad, state_in, params } = cotangents;
+        let planes = if table.strain_kind == BARCHAN_STRAIN_DEF_GRAD { 9 } else { 6 };
+        let wants_vel_grad = table.capabilities & BARCHAN_CAP_VEL_GRAD != 0;
+        assert!(
+            strain.len() >= planes * stride
+                && strain_trial.len() >= planes * stride
+                && kirchhoff.len() >= 6 * stride
+                && (!wants_vel_grad || vel_grad.len() >= 9 * stride)
+                && state.len() >= table.n_state * stride
+                && state_in.len() >= table.n_state * stride
+                && params.len() == table.n_params,
+            "cotangents have the planes of their batch"
+        );
+        let has_state = table.n_state > 0;
+        let raw = BarchanAdjointF64 {
+            struct_size: size_of::<BarchanAdjointF64>(),
+            adj_strain: strain.as_ptr(),
+            adj_kirchhoff: kirchhoff.as_ptr(),
+            adj_state_out: if has_state { state.as_ptr() } else { null() },
+            adj_strain_trial: strain_trial.as_mut_ptr(),
+            adj_vel_grad: if wants_vel_grad { vel_grad.as_mut_ptr() } else { null_mut() },
+            adj_state_in: if has_state { state_in.as_mut_ptr() } else { null_mut() },
+            adj_params: params.as_mut_ptr(),
+        };
+        Self { raw, memory: PhantomData }
+    }
+
+    /// The struct, for the callback.
+    #[inline]
+    pub fn as_raw(&self) -> *const BarchanAdjointF64 {
+        &raw const self.raw
+    }
+}

@@ -21,7 +21,7 @@ impl<T: Real> Dual<T> {
     }
     /// A number that does not vary.
     #[inline(always)]
-    pub fn constant(value: T) -> Self {
+    pub fn fixed(value: T) -> Self {
         Self { value, derivative: T::zero() }
     }
 }
@@ -85,10 +85,16 @@ impl<T: Real> Real for Dual<T> {
     type Mask = T::Mask;
     const EPSILON: f64 = T::EPSILON;
     const TINY: f64 = T::TINY;
+    const VARIES: bool = true;
+
+    #[inline(always)]
+    fn constant(self) -> Self {
+        Self::fixed(self.value)
+    }
 
     #[inline(always)]
     fn splat(x: f64) -> Self {
-        Self::constant(T::splat(x))
+        Self::fixed(T::splat(x))
     }
     #[inline(always)]
     fn mul_add(self, a: Self, b: Self) -> Self {
@@ -133,7 +139,7 @@ impl<T: Real> Real for Dual<T> {
     fn split_exponent(self) -> (Self, Self) {
         let (m, e) = self.value.split_exponent();
         // The exponent is a constant between powers of two, so the mantissa takes all of the derivative.
-        (Self::new(m, self.derivative.scale_exponent(-e)), Self::constant(e))
+        (Self::new(m, self.derivative.scale_exponent(-e)), Self::fixed(e))
     }
     #[inline(always)]
     fn scale_exponent(self, k: Self) -> Self {
@@ -141,7 +147,7 @@ impl<T: Real> Real for Dual<T> {
     }
     #[inline(always)]
     fn round(self) -> Self {
-        Self::constant(self.value.round())
+        Self::fixed(self.value.round())
     }
     #[inline(always)]
     fn is_finite(self) -> T::Mask {

@@ -99,7 +99,14 @@ pub trait Real:
     const EPSILON: f64;
     /// Least positive normal number in this precision.
     const TINY: f64;
+    /// Does it carry derivatives? What need not be found without them is left out then.
+    const VARIES: bool = false;
 
+    /// The number without its derivatives.
+    #[inline(always)]
+    fn constant(self) -> Self {
+        self
+    }
     /// The number in every lane.
     fn splat(x: f64) -> Self;
     /// `self * a + b`, fused where the instruction set fuses.
