@@ -14,6 +14,12 @@ pub fn weights<V: Real>(f: V) -> [V; 3] {
     [half * left * left, (-middle).mul_add(middle, V::splat(0.75)), half * f * f]
 }
 
+/// Derivatives of the [`weights`] by `f`.
+#[inline(always)]
+pub fn slopes<V: Real>(f: V) -> [V; 3] {
+    [f - V::one(), V::one() - f - f, f]
+}
+
 /// Distance in cells from a particle at fraction `f` of cell c to node c - 1; the next nodes are 1 and 2 cells further.
 #[inline(always)]
 pub fn first_distance<V: Real>(f: V) -> V {

@@ -14,6 +14,7 @@
 //! reflect it too.
 #![expect(non_snake_case, reason = "symbols follow Hu et al. 2018")]
 
+pub mod adjoint;
 mod g2p;
 mod p2g;
 

@@ -249,6 +249,41 @@ impl Separation {
         (presses, impulse)
     }
 
+    /// The adjoint of [`fold`](Self::fold) of a node and an image that were as given: from the cotangent of the node's sum to those of both.
+    pub fn fold_back(&self, node: &[f64; 4], image: &[f64; 4], cotangent: [f64; 4]) -> [[f64; 4]; 2] {
+        let n = self.axis;
+        if image[n] * self.inward >= 0.0 {
+            return [cotangent; 2];
+        }
+        let mut back = cotangent;
+        let sum: [f64; 3] = std::array::from_fn(|d| if d == n { 0.0 } else { node[d] + image[d] });
+        let tangential = sum.iter().map(|p| p * p).sum::<f64>().sqrt();
+        let mut pressed = 0.0;
+        if tangential > 0.0 {
+            // What friction leaves of the sum t is t − 2 μ |q| t / |t|, with the image's momentum q along the axis, or nothing.
+            let taken = 2.0 * self.friction * image[n].abs() / tangential;
+            let along = (0..3).map(|d| sum[d] * cotangent[d]).sum::<f64>() / tangential;
+            for d in (0..3).filter(|&d| d != n) {
+                let kept = cotangent[d] - taken * (cotangent[d] - along * sum[d] / tangential);
+                back[d] = if taken < 1.0 { kept } else { 0.0 };
+            }
+            if taken < 1.0 {
+                pressed = -2.0 * self.friction * image[n].signum() * along;
+            }
+        }
+        let mut of_image = back;
+        of_image[n] = pressed - cotangent[n];
+        [back, of_image]
+    }
+
+    /// The adjoint of [`unfold`](Self::unfold): what the cotangent of the image's velocity adds to that of the node's.
+    pub fn unfold_back(&self, presses: bool, mut cotangent: [f64; 3]) -> [f64; 3] {
+        if presses {
+            cotangent[self.axis] = -cotangent[self.axis];
+        }
+        cotangent
+    }
+
     /// Velocity of the image, from the node's, whether the pair presses, and the mass that was folded; and the impulse that the
     /// wall gave in doing so [N s].
     pub fn unfold<T: Float>(&self, node: &[T; 4], presses: bool, mass: f64) -> ([T; 4], [f64; 3]) {

@@ -1,5 +1,6 @@
 //! Backends: where particles live and a step is carried out.
 
+use crate::gradient::Gradient;
 use crate::parameter::Parameter;
 use crate::plan::PlannedMaterial;
 use crate::probe::Filter;
@@ -64,6 +65,21 @@ pub trait Backend: Send + Sync {
     /// # Errors
     /// [`crate::Error::Missing`] if it lacks a form of a stage, by name.
     fn compile(&self, plan: &Plan, particles: ParticleState) -> Result<Box<dyn Engine>>;
+    /// What goes back through steps of the plan, for [gradients](crate::gradient).
+    ///
+    /// # Errors
+    /// [`crate::Error::Missing`] if it has no [adjoint forms](Form::Adjoint).
+    fn adjoint(&self, plan: &Plan) -> Result<Box<dyn Adjoint>> {
+        let _ = plan;
+        Err(crate::Error::Missing {
+            kind: "backend",
+            name: self.name().to_owned(),
+            origin: "registered".to_owned(),
+            what: format!("{} of any stage", Form::Adjoint),
+            why: "gradients go back through every stage of a step".to_owned(),
+            mend: "choose another backend".to_owned(),
+        })
+    }
     /// Can it step worlds together in the same passes? Otherwise they are compiled one by one.
     fn has_batches(&self) -> bool {
         false
@@ -231,6 +247,16 @@ pub struct Timing {
     pub seconds: f64,
     /// Passes run.
     pub passes: u64,
+}
+
+/// Goes back through steps.
+pub trait Adjoint: Send {
+    /// From what a loss owes to the particles after a step to what it owes to those before it, which are given, and to what is the same in all steps. The step began at `time` and took
+    /// `dt` [s]. In one of no length nothing moves: C changes the strain that [lags behind](ParticleState::strain_dt), and no more.
+    ///
+    /// # Errors
+    /// [`crate::Error::MaterialFailed`] if a law fails, or a derivative of it is not finite.
+    fn step_back(&mut self, before: &ParticleState, time: f64, dt: f64, gradient: &mut Gradient) -> Result<()>;
 }
 
 /// A compiled plan with its particles.

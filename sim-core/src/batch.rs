@@ -2,7 +2,7 @@
 
 use crate::Material;
 use crate::material::ErrorBuffer;
-use barchan_abi::batch::{Batch, Inputs, Number, Outputs};
+use barchan_abi::batch::{Adjoint, Batch, Cotangents, Inputs, Number, Outputs};
 use barchan_abi::{BARCHAN_N_COUNTERS, BarchanStatus};
 
 /// One component of `N` particles, aligned as the ABI promises.
@@ -68,6 +68,25 @@ pub struct Answer<'a, T, const N: usize> {
     pub state: &'a mut [Plane<T, N>],
 }
 
+/// What a loss owes to what a material makes of particles, and what it owes to what the material is given, which is added to: each by the particle's own values.
+#[derive(Debug)]
+pub struct Owed<'a, const N: usize> {
+    /// To the strain, plane by plane.
+    pub strain: &'a [Plane<f64, N>],
+    /// To the Kirchhoff stress [1/Pa].
+    pub kirchhoff: &'a [Plane<f64, N>; 6],
+    /// To the history after.
+    pub state: &'a [Plane<f64, N>],
+    /// To the trial strain.
+    pub trial: &'a mut [Plane<f64, N>],
+    /// To the velocity gradient [s], if the material asks for it.
+    pub vel_grad: &'a mut [Plane<f64, N>; 9],
+    /// To the history before.
+    pub state_before: &'a mut [Plane<f64, N>],
+    /// To the parameters, summed over the particles.
+    pub parameters: &'a mut [f64],
+}
+
 impl<'a, T: Number + Default, const N: usize> Matter<'a, T, N> {
     /// Does something with the batch, at rest unless there is a motion.
     fn with<R>(
@@ -108,6 +127,34 @@ impl Material {
         let update = T::update_of(&self.table)?;
         // SAFETY: the batch has the planes that this material declares; whoever registered its table vouched for the callback.
         Some(trial.with(self, motion, Some(answer), |batch| unsafe { update(batch.as_raw(), error.as_raw()) }))
+    }
+
+    /// The adjoint of [`update`](Self::update) in f64.
+    pub fn pull_back<const N: usize>(
+        &self,
+        trial: &Matter<'_, f64, N>,
+        motion: Motion<'_, f64, N>,
+        owed: Owed<'_, N>,
+        error: &mut ErrorBuffer,
+    ) -> Option<BarchanStatus> {
+        let callback = self.table.update_adj_f64?;
+        let adjoint = Adjoint::new(
+            &self.table,
+            N,
+            Cotangents {
+                strain: Plane::flat(owed.strain),
+                kirchhoff: Plane::flat(owed.kirchhoff),
+                state: Plane::flat(owed.state),
+                strain_trial: Plane::flat_mut(owed.trial),
+                vel_grad: Plane::flat_mut(owed.vel_grad),
+                state_in: Plane::flat_mut(owed.state_before),
+                params: owed.parameters,
+            },
+        );
+        // SAFETY: as for the update; the cotangents have the planes of the batch.
+        Some(trial.with(self, Some(motion), None, |batch| unsafe {
+            callback(batch.as_raw(), adjoint.as_raw(), error.as_raw())
+        }))
     }
 
     /// Elastic energy per rest volume [J/m³].

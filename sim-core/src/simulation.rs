@@ -362,6 +362,16 @@ impl Simulation {
             None => Err(no_body(&bodies, name)),
         }
     }
+    pub(crate) fn plan_shared(&self) -> Arc<Plan> {
+        Arc::clone(&self.plan)
+    }
+    /// Particles that the world's sides have put back or taken so far.
+    pub(crate) fn lost(&self) -> u64 {
+        let mut ledger = Ledger::default();
+        self.engine.account(&mut ledger);
+        let named = ["particles put back into the world", "particles deleted on leaving"];
+        named.iter().filter_map(|name| ledger.counts.get(*name)).sum()
+    }
     pub(crate) fn engine(&self) -> &dyn Engine {
         &*self.engine
     }

@@ -7,6 +7,7 @@
 
 mod account;
 mod adapt;
+mod adjoint;
 mod archive;
 mod awake;
 mod engine;
@@ -23,7 +24,7 @@ mod sleep;
 mod step;
 mod store;
 
-use barchan_core::{Backend, Engine, Error, Form, ParticleState, Plan, Precision, Registry, Result, Stage};
+use barchan_core::{Adjoint, Backend, Engine, Error, Form, ParticleState, Plan, Precision, Registry, Result, Stage};
 use barchan_grid::transfer::MAX_STATE;
 use std::sync::Arc;
 
@@ -42,7 +43,21 @@ impl Backend for Cpu {
     }
 
     fn has_form(&self, stage: Stage, form: Form) -> bool {
-        form == Form::Forward && step::forward::<f32>(stage).is_some()
+        match form {
+            Form::Forward => step::forward::<f32>(stage).is_some(),
+            // Where particles lie in memory, what probes see and how long a step may be move nothing.
+            Form::Adjoint => [
+                Stage::SORT,
+                Stage::P2G,
+                Stage::GRID_UPDATE,
+                Stage::LIMIT,
+                Stage::SIDES,
+                Stage::G2P,
+                Stage::FLUX,
+                Stage::PRESS,
+            ]
+            .contains(&stage),
+        }
     }
 
     fn check(&self, plan: &Plan) -> Result<()> {
@@ -66,6 +81,10 @@ impl Backend for Cpu {
             Precision::F32 => Box::new(engine::CpuEngine::<f32>::new(plan, particles)?),
             Precision::F64 => Box::new(engine::CpuEngine::<f64>::new(plan, particles)?),
         })
+    }
+
+    fn adjoint(&self, plan: &Plan) -> Result<Box<dyn Adjoint>> {
+        Ok(Box::new(adjoint::CpuAdjoint::new(plan)?))
     }
 }
 

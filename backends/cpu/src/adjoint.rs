@@ -1,0 +1,591 @@
+//! Steps backwards, for gradients: one level, without bodies.
+//!
+//! A step is x, v, C, b → stress and b' (the law) → momentum and mass of nodes (P2G, walls) → their velocity → v', C', x' (G2P). Backwards, what a loss owes to the latter
+//! goes to the nodes' velocity (the adjoint of G2P), to their momentum and mass, and from these to stress, v, C and x (that of P2G), and through the law to
+//! b, C, its history and its parameters. What the step made of the nodes is found anew, in f64 whatever the run's precision.
+//!
+//! Particles are worked on in pieces of a fixed number, each with nodes of its own, which are added up in the order of the pieces: sums are the same bits for any
+//! number of threads.
+#![expect(non_snake_case, reason = "symbols follow Hu et al. 2018")]
+
+use barchan_core::account::BATCH;
+use barchan_core::batch::{Answer, Matter, Motion, Owed, Plane};
+use barchan_core::gradient::{Gradient, MOST_STATES, by_number};
+use barchan_core::material::ErrorBuffer;
+use barchan_core::plan::PlannedMaterial;
+use barchan_core::{Adjoint, Error, ParticleList, ParticleState, Plan, Result, Scene, Vec3};
+use barchan_grid::block::{self, CELLS};
+use barchan_grid::bounds::Bounds;
+use barchan_grid::limits::{LEAST_MASS, MAX_DEFORMATION};
+use barchan_grid::transfer::adjoint::{AROUND, Affine, Stencil, deformed_back};
+use barchan_grid::transfer::deformed;
+use rayon::ThreadPool;
+use rayon::prelude::*;
+use std::collections::HashMap;
+
+/// Row and column of each plane of a symmetric tensor.
+const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+
+/// Goes back through the steps of a plan.
+pub(crate) struct CpuAdjoint {
+    pool: ThreadPool,
+    materials: Vec<PlannedMaterial>,
+    bounds: Bounds,
+    scene: Scene,
+    /// Cell width [m].
+    h: f64,
+}
+
+/// Particles that are worked on together: of one list, so many from one on.
+#[derive(Clone, Copy)]
+struct Piece<'a> {
+    list: &'a ParticleList,
+    first: usize,
+    count: usize,
+    /// Their numbers among all particles, in the order of these.
+    number: &'a [u32],
+}
+
+/// Nodes, block by block. Of each node three numbers that belong to its directions, and one.
+#[derive(Default)]
+struct Nodes {
+    at: HashMap<[i32; 3], usize>,
+    keys: Vec<[i32; 3]>,
+    values: Vec<[[f64; 4]; CELLS]>,
+}
+
+impl Nodes {
+    /// Number of a block, which is made if there is none.
+    fn block(&mut self, key: [i32; 3]) -> usize {
+        let Self { at, keys, values } = self;
+        *at.entry(key).or_insert_with(|| {
+            keys.push(key);
+            values.push([[0.0; 4]; CELLS]);
+            keys.len() - 1
+        })
+    }
+
+    /// A node by its number.
+    fn get(&self, node: usize) -> [f64; 4] {
+        self.values[node / CELLS][node % CELLS]
+    }
+
+    fn get_mut(&mut self, node: usize) -> &mut [f64; 4] {
+        &mut self.values[node / CELLS][node % CELLS]
+    }
+
+    /// The number of the node in a cell, if its block is there.
+    fn find(&self, cell: [i32; 3]) -> Option<usize> {
+        let [x, y, z] = cell.map(|c| c.rem_euclid(block::SIDE) as usize);
+        Some(self.at.get(&block::of_cell(cell))? * CELLS + (4 * x + y) * 4 + z)
+    }
+
+    /// The cell of the node with a number.
+    fn cell(&self, node: usize) -> [i32; 3] {
+        let n = node % CELLS;
+        let within = [n / 16, n / 4 % 4, n % 4];
+        std::array::from_fn(|d| self.keys[node / CELLS][d] * block::SIDE + within[d] as i32)
+    }
+
+    /// Adds other nodes.
+    fn add(&mut self, other: &Self) {
+        for (key, values) in other.keys.iter().zip(&other.values) {
+            let b = self.block(*key);
+            let sums = self.values[b].as_flattened_mut().iter_mut();
+            sums.zip(values.as_flattened()).for_each(|(sum, value)| *sum += value);
+        }
+    }
+
+    /// The same blocks without anything in them.
+    fn cleared(&self) -> Self {
+        Self { at: self.at.clone(), keys: self.keys.clone(), values: vec![[[0.0; 4]; CELLS]; self.keys.len()] }
+    }
+}
+
+/// A particle among its nodes.
+struct Place {
+    stencil: Stencil,
+    /// Numbers of the nodes around it, walls and joined ends seen to.
+    nodes: [u32; AROUND],
+    /// Signs of the directions there, where a wall mirrors them.
+    signs: [[f64; 3]; AROUND],
+}
+
+/// What a law made of a batch, part by part of the step's strain.
+struct Deformed {
+    /// Before each part, and its trial.
+    before: Vec<[Vec<Plane<f64, BATCH>>; 3]>,
+    kirchhoff: [Plane<f64, BATCH>; 6],
+}
+
+/// What a piece gave to nodes.
+struct Forward {
+    places: Vec<Place>,
+    /// Momentum per cell and particle; see [`CpuAdjoint::momentum`].
+    momentum: Vec<Affine>,
+    deformed: Deformed,
+    nodes: Nodes,
+}
+
+/// What goes back to the particles of a piece.
+#[derive(Clone, Default)]
+struct Back {
+    position: Vec3,
+    velocity: Vec3,
+    affine: [f64; 9],
+    strain: [f64; 9],
+    state: [f64; MOST_STATES],
+}
+
+/// A step to go back through.
+#[derive(Clone, Copy)]
+struct Step {
+    dt: f64,
+    gravity: Vec3,
+    /// The step over which C has yet to change the strain [s], and in how many parts.
+    strain_dt: f64,
+    parts: u32,
+}
+
+/// A node before a wall that lets go, and its image, as they were before the wall acted on them.
+struct Pair {
+    separation: usize,
+    node: usize,
+    image: usize,
+    sums: [[f64; 4]; 2],
+    presses: bool,
+}
+
+impl CpuAdjoint {
+    pub(crate) fn new(plan: &Plan) -> Result<Self> {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(plan.threads).build().map_err(|e| Error::Io {
+            file: "threads".into(),
+            what: "starting worker threads",
+            source: std::io::Error::other(e),
+        })?;
+        let (bounds, h) = (Bounds::new(plan, 0), plan.cell_widths[0]);
+        Ok(Self { pool, materials: plan.materials.clone(), bounds, scene: plan.scene.clone(), h })
+    }
+
+    /// What a list's law and step come to for a piece: stress, and what goes back through it needs.
+    fn deform(&self, piece: &Piece<'_>, step: &Step) -> Result<Deformed> {
+        let list = piece.list;
+        let planned = &self.materials[list.material as usize];
+        let (dt, vel_grad) = (step.strain_dt / f64::from(step.parts), self.rates(piece));
+        let mut strain: Vec<_> = list.strain.iter().map(|plane| piece.plane(plane)).collect();
+        let mut state: Vec<_> = list.state.iter().map(|plane| piece.plane(plane)).collect();
+        let (mut before, mut kirchhoff) = (Vec::new(), [Plane::default(); 6]);
+        for _ in 0..step.parts {
+            let mut trial = strain.clone();
+            for i in 0..BATCH {
+                let G = vel_grad.map(|plane| plane.0[i] * dt);
+                let own: Vec<f64> = strain.iter().map(|plane| plane.0[i]).collect();
+                trial.iter_mut().zip(deformed(&G, &own)).for_each(|(plane, value)| plane.0[i] = value);
+            }
+            before.push([strain.clone(), trial.clone(), state.clone()]);
+            let [_, trial, old] = &before[before.len() - 1];
+            let matter = Matter { count: piece.count, parameters: &planned.parameters, strain: trial, state: old };
+            let motion = Motion { dt, vel_grad: &vel_grad };
+            let answer = Answer { strain: &mut strain, kirchhoff: &mut kirchhoff, state: &mut state };
+            let mut error = ErrorBuffer::default();
+            let status = planned.material.update(&matter, Some(motion), answer, &mut error).unwrap_or_default();
+            error.check(status, &planned.material, "update_f64", |i| piece.id(i))?;
+        }
+        Ok(Deformed { before, kirchhoff })
+    }
+
+    /// The affine matrices of a piece, plane by plane.
+    fn rates(&self, piece: &Piece<'_>) -> [Plane<f64, BATCH>; 9] {
+        std::array::from_fn(|c| {
+            Plane(std::array::from_fn(|i| piece.list.affine[piece.first + i.min(piece.count - 1)][c]))
+        })
+    }
+
+    /// The momentum that a particle gives, and by how much it grows a cell: m (v + dt g), and m h C − 4 dt V τ / h.
+    fn momentum(&self, list: &ParticleList, p: usize, tau: [f64; 6], step: &Step) -> Affine {
+        let [m, stress] = [list.mass[p], -4.0 * step.dt / self.h * list.volume0[p]];
+        let [xx, yy, zz, xy, xz, yz] = tau;
+        let full = [xx, xy, xz, xy, yy, yz, xz, yz, zz];
+        Affine {
+            at: std::array::from_fn(|d| m * (list.velocity[p][d] + step.dt * step.gravity[d])),
+            rows: std::array::from_fn(|e| m * self.h * list.affine[p][e] + stress * full[e]),
+        }
+    }
+
+    /// Where a particle stands among the nodes, whose blocks are made if there are none.
+    fn place(
+        &self,
+        list: &ParticleList,
+        p: usize,
+        nodes: &mut Nodes,
+        last: &mut ([[i32; 3]; 3], [usize; AROUND]),
+    ) -> Place {
+        // Along each axis: the cell of each node, and the signs that a wall gives its directions.
+        let along: [[(i32, [bool; 3]); 3]; 3] = std::array::from_fn(|d| {
+            std::array::from_fn(|i| {
+                let mut cell = [self.bounds.min[0], self.bounds.min[1], self.bounds.min[2]];
+                cell[d] = list.cell[p][d] + i as i32 - 1;
+                let (reflected, flipped) = self.bounds.mirrors.reflected(cell);
+                let period = self.bounds.periods()[d];
+                let at = if period == 0 {
+                    reflected[d]
+                } else {
+                    self.bounds.min[d] + (reflected[d] - self.bounds.min[d]).rem_euclid(period)
+                };
+                (at, flipped)
+            })
+        });
+        let blocks = along.map(|axis| axis.map(|(cell, _)| cell >> 2));
+        if last.0 != blocks || nodes.keys.is_empty() {
+            for (n, block) in last.1.iter_mut().enumerate() {
+                *block = nodes.block([blocks[0][n / 9], blocks[1][n / 3 % 3], blocks[2][n % 3]]);
+            }
+            last.0 = blocks;
+        }
+        let mut place =
+            Place { stencil: Stencil::new(list.offset[p], self.h), nodes: [0; AROUND], signs: [[1.0; 3]; AROUND] };
+        for n in 0..AROUND {
+            let at = [along[0][n / 9], along[1][n / 3 % 3], along[2][n % 3]];
+            let [x, y, z] = at.map(|(cell, _)| cell.rem_euclid(block::SIDE) as usize);
+            place.nodes[n] = (last.1[n] * CELLS + (4 * x + y) * 4 + z) as u32;
+            for (_, flipped) in at {
+                (0..3).filter(|&d| flipped[d]).for_each(|d| place.signs[n][d] *= -1.0);
+            }
+        }
+        place
+    }
+
+    /// P2G of a piece.
+    fn give(&self, piece: &Piece<'_>, step: &Step) -> Result<Forward> {
+        let (list, deformed) = (piece.list, self.deform(piece, step)?);
+        let (mut nodes, mut places, mut momentum) = (Nodes::default(), Vec::new(), Vec::new());
+        let mut last = ([[i32::MIN; 3]; 3], [0; AROUND]);
+        for i in 0..piece.count {
+            let p = piece.first + i;
+            let place = self.place(list, p, &mut nodes, &mut last);
+            let gives = self.momentum(list, p, deformed.kirchhoff.map(|plane| plane.0[i]), step);
+            place.stencil.scatter(&gives, list.mass[p], |n, given| {
+                let node = nodes.get_mut(place.nodes[n] as usize);
+                (0..3).for_each(|d| node[d] += place.signs[n][d] * given[d]);
+                node[3] += given[3];
+            });
+            places.push(place);
+            momentum.push(gives);
+        }
+        Ok(Forward { places, momentum, deformed, nodes })
+    }
+
+    /// Walls that let go act on sums of nodes. Returns what they were before, in the order in which walls acted.
+    fn separate(&self, sums: &mut Nodes) -> Vec<Pair> {
+        let mut pairs = Vec::new();
+        for (number, (separation, faces)) in self.bounds.separations.iter().enumerate() {
+            for image in 0..sums.keys.len() * CELLS {
+                let mut cell = sums.cell(image);
+                let behind = if separation.inward > 0.0 {
+                    2 * cell[separation.axis] < *faces
+                } else {
+                    2 * cell[separation.axis] > *faces
+                };
+                if !behind || sums.get(image)[3] <= 0.0 {
+                    continue;
+                }
+                cell[separation.axis] = faces - cell[separation.axis];
+                let block = sums.block(block::of_cell(cell));
+                let node = sums.find(cell).unwrap_or(block * CELLS);
+                let (mut here, mut there) = (sums.get(node), sums.get(image));
+                let before = [here, there];
+                let (presses, _) = separation.fold(&mut here, &mut there);
+                (*sums.get_mut(node), *sums.get_mut(image)) = (here, there);
+                pairs.push(Pair { separation: number, node, image, sums: before, presses });
+            }
+        }
+        pairs
+    }
+
+    /// G2P of a piece backwards: what its particles owe to nodes, and to where they read.
+    fn read_back(
+        &self,
+        piece: &Piece<'_>,
+        forward: &Forward,
+        velocities: &Nodes,
+        dt: f64,
+        gradient: &Gradient,
+    ) -> (Nodes, Vec<Back>) {
+        let to_all = velocities.numbers_of(&forward.nodes);
+        let mut owed = forward.nodes.cleared();
+        let mut backs = Vec::with_capacity(piece.count);
+        for (place, &number) in forward.places.iter().zip(piece.number) {
+            let after = &gradient.particles;
+            let number = number as usize;
+            let position = after.position[number];
+            // What the new velocity does to the loss by itself, and by the move.
+            let at = std::array::from_fn(|d| after.velocity[number][d] + dt * position[d]);
+            let cotangent = Affine { at, rows: after.affine[number] };
+            let velocity = |n: usize| {
+                let u = velocities.get(to_all(place.nodes[n]));
+                std::array::from_fn(|d| place.signs[n][d] * u[d])
+            };
+            let moved = place.stencil.gather_back(self.h, &cotangent, velocity, |n, given| {
+                let node = owed.get_mut(place.nodes[n] as usize);
+                (0..3).for_each(|d| node[d] += place.signs[n][d] * given[d]);
+            });
+            backs.push(Back { position: std::array::from_fn(|d| position[d] + moved[d]), ..Back::default() });
+        }
+        (owed, backs)
+    }
+
+    /// P2G of a piece backwards, and the law: `backs` gets what is missing. Returns what is owed to the law's parameters and to gravity.
+    fn give_back(
+        &self,
+        piece: &Piece<'_>,
+        forward: &Forward,
+        owed: &Nodes,
+        step: &Step,
+        gradient: &Gradient,
+        backs: &mut [Back],
+    ) -> Result<(Vec<f64>, Vec3)> {
+        let (list, to_all) = (piece.list, owed.numbers_of(&forward.nodes));
+        let mut gravity = [0.0; 3];
+        let mut kirchhoff = [Plane::<f64, BATCH>::default(); 6];
+        for (i, back) in backs.iter_mut().enumerate() {
+            let (p, place) = (piece.first + i, &forward.places[i]);
+            let mass = list.mass[p];
+            let (of, _, moved) = place.stencil.scatter_back(self.h, &forward.momentum[i], mass, |n| {
+                let [x, y, z, m] = owed.get(to_all(place.nodes[n]));
+                let [a, b, c] = place.signs[n];
+                [a * x, b * y, c * z, m]
+            });
+            for d in 0..3 {
+                back.position[d] += moved[d];
+                back.velocity[d] += mass * of.at[d];
+                gravity[d] += mass * step.dt * of.at[d];
+            }
+            back.affine = of.rows.map(|a| mass * self.h * a);
+            let stress = -4.0 * step.dt / self.h * list.volume0[p];
+            for (plane, (row, column)) in kirchhoff.iter_mut().zip(ENTRIES) {
+                let other = if row == column { 0.0 } else { of.rows[3 * column + row] };
+                plane.0[i] = stress * (of.rows[3 * row + column] + other);
+            }
+        }
+        let parameters = self.deform_back(piece, &forward.deformed, step, gradient, kirchhoff, backs)?;
+        Ok((parameters, gravity))
+    }
+
+    /// The law and the strain of a piece backwards. Returns what is owed to the law's parameters.
+    fn deform_back(
+        &self,
+        piece: &Piece<'_>,
+        made: &Deformed,
+        step: &Step,
+        gradient: &Gradient,
+        mut kirchhoff: [Plane<f64, BATCH>; 6],
+        backs: &mut [Back],
+    ) -> Result<Vec<f64>> {
+        let planned = &self.materials[piece.list.material as usize];
+        let (planes, states) = (piece.list.strain.len(), piece.list.state.len());
+        let (dt, vel_grad) = (step.strain_dt / f64::from(step.parts), self.rates(piece));
+        let of = |value: &dyn Fn(usize) -> f64| {
+            let mut plane = Plane::<f64, BATCH>::default();
+            plane.0.iter_mut().zip(piece.number).for_each(|(x, number)| *x = value(*number as usize));
+            plane
+        };
+        let mut strain: Vec<_> = (0..planes).map(|c| of(&|n| gradient.particles.strain[n][c])).collect();
+        let mut state: Vec<_> = (0..states).map(|c| of(&|n| gradient.particles.state[n][c])).collect();
+        let mut parameters = vec![0.0; planned.parameters.len()];
+        for [before, trial, old] in made.before.iter().rev() {
+            let mut of_trial = vec![Plane::default(); planes];
+            let mut of_rates = [Plane::default(); 9];
+            let mut of_state = vec![Plane::default(); states];
+            let matter = Matter { count: piece.count, parameters: &planned.parameters, strain: trial, state: old };
+            let owed = Owed {
+                strain: &strain,
+                kirchhoff: &kirchhoff,
+                state: &state,
+                trial: &mut of_trial,
+                vel_grad: &mut of_rates,
+                state_before: &mut of_state,
+                parameters: &mut parameters,
+            };
+            let mut error = ErrorBuffer::default();
+            let motion = Motion { dt, vel_grad: &vel_grad };
+            let status = planned.material.pull_back(&matter, motion, owed, &mut error).unwrap_or_default();
+            error.check(status, &planned.material, "update_adj_f64", |i| piece.id(i))?;
+            for (i, back) in backs.iter_mut().enumerate() {
+                let G = vel_grad.map(|plane| plane.0[i] * dt);
+                let [own, owed]: [Vec<f64>; 2] =
+                    [before, &of_trial].map(|all| all.iter().map(|plane| plane.0[i]).collect());
+                let mut of_G = [0.0; 9];
+                let of_strain = deformed_back(&G, &own, &owed, &mut of_G);
+                for c in 0..9 {
+                    back.affine[c] += dt * of_G[c] + of_rates[c].0[i];
+                }
+                strain.iter_mut().zip(of_strain).for_each(|(plane, value)| plane.0[i] = value);
+            }
+            state = of_state;
+            // Only the last part's stress acts.
+            kirchhoff = [Plane::default(); 6];
+        }
+        for (i, back) in backs.iter_mut().enumerate() {
+            back.strain.iter_mut().zip(&strain).for_each(|(to, plane)| *to = plane.0[i]);
+            back.state.iter_mut().zip(&state).for_each(|(to, plane)| *to = plane.0[i]);
+        }
+        Ok(parameters)
+    }
+
+    /// What is owed to the sums of nodes, from what is owed to their velocities.
+    fn sums_back(&self, velocities: &Nodes, sums: &Nodes, pairs: &[Pair], owed: &mut Nodes) {
+        let separations = &self.bounds.separations;
+        for pair in pairs {
+            let separation = &separations[pair.separation].0;
+            let image = std::mem::take(owed.get_mut(pair.image));
+            let back = separation.unfold_back(pair.presses, [image[0], image[1], image[2]]);
+            (0..3).for_each(|d| owed.get_mut(pair.node)[d] += back[d]);
+        }
+        for node in 0..owed.keys.len() * CELLS {
+            let (mass, u) = (sums.get(node)[3], velocities.get(node));
+            let of = owed.get_mut(node);
+            if u[3] > 0.0 {
+                let [x, y, z, _] = *of;
+                *of = [x / mass, y / mass, z / mass, -(x * u[0] + y * u[1] + z * u[2]) / mass];
+            } else {
+                *of = [0.0; 4];
+            }
+        }
+        for pair in pairs.iter().rev() {
+            let separation = &separations[pair.separation].0;
+            let [node, image] = separation.fold_back(&pair.sums[0], &pair.sums[1], owed.get(pair.node));
+            (*owed.get_mut(pair.node), *owed.get_mut(pair.image)) = (node, image);
+        }
+    }
+
+    /// The strain that lags behind, and no more.
+    fn carry_back(&self, before: &ParticleState, step: &Step, gradient: &mut Gradient) -> Result<()> {
+        let numbers = numbers(before);
+        let pieces = pieces(before, &numbers);
+        let one = |piece: &Piece<'_>| {
+            let particles = &gradient.particles;
+            let as_it_is = |number: &u32| Back {
+                position: particles.position[*number as usize],
+                velocity: particles.velocity[*number as usize],
+                affine: particles.affine[*number as usize],
+                ..Back::default()
+            };
+            let mut backs: Vec<Back> = piece.number.iter().map(as_it_is).collect();
+            let made = self.deform(piece, step)?;
+            let parameters = self.deform_back(piece, &made, step, gradient, [Plane::default(); 6], &mut backs)?;
+            Ok((backs, (parameters, [0.0; 3])))
+        };
+        let given: Vec<_> = pieces.par_iter().map(one).collect::<Result<_>>()?;
+        take_in(gradient, &pieces, given);
+        Ok(())
+    }
+
+    fn back(&self, before: &ParticleState, step: &Step, gradient: &mut Gradient) -> Result<()> {
+        let numbers = numbers(before);
+        let pieces = pieces(before, &numbers);
+        let forwards: Vec<Forward> = pieces.par_iter().map(|piece| self.give(piece, step)).collect::<Result<_>>()?;
+        let mut sums = Nodes::default();
+        forwards.iter().for_each(|forward| sums.add(&forward.nodes));
+        let pairs = self.separate(&mut sums);
+        let masses = before.lists.iter().flat_map(|list| &list.mass);
+        let least = masses.fold(f64::INFINITY, |least, mass| least.min(*mass)) * LEAST_MASS;
+        let mut velocities = sums.cleared();
+        for node in 0..sums.keys.len() * CELLS {
+            let [x, y, z, m] = sums.get(node);
+            // The last number says whether it moves at all.
+            *velocities.get_mut(node) = if m > least { [x / m, y / m, z / m, 1.0] } else { [0.0; 4] };
+        }
+        for pair in pairs.iter().rev() {
+            let separation = &self.bounds.separations[pair.separation].0;
+            let (image, _) = separation.unfold(&velocities.get(pair.node), pair.presses, 0.0);
+            *velocities.get_mut(pair.image) = [image[0], image[1], image[2], 0.0];
+        }
+        let read: Vec<(Nodes, Vec<Back>)> = pieces
+            .par_iter()
+            .zip(&forwards)
+            .map(|(piece, forward)| self.read_back(piece, forward, &velocities, step.dt, gradient))
+            .collect();
+        let (mut owed, mut backs) = (sums.cleared(), Vec::with_capacity(read.len()));
+        for (nodes, back) in read {
+            owed.add(&nodes);
+            backs.push(back);
+        }
+        self.sums_back(&velocities, &sums, &pairs, &mut owed);
+        let one = |((piece, forward), mut backs): ((&Piece<'_>, &Forward), Vec<Back>)| {
+            let given = self.give_back(piece, forward, &owed, step, gradient, &mut backs)?;
+            Ok((backs, given))
+        };
+        let given: Vec<_> = pieces.par_iter().zip(&forwards).zip(backs).map(one).collect::<Result<_>>()?;
+        take_in(gradient, &pieces, given);
+        Ok(())
+    }
+}
+
+/// The particles of all lists, in pieces.
+fn pieces<'a>(particles: &'a ParticleState, numbers: &'a [Vec<u32>]) -> Vec<Piece<'a>> {
+    let of_list = |(list, numbers): (&'a ParticleList, &'a Vec<u32>)| {
+        let each = numbers.chunks(BATCH).enumerate();
+        each.map(move |(k, number)| Piece { list, first: k * BATCH, count: number.len(), number })
+    };
+    particles.lists.iter().zip(numbers).flat_map(of_list).collect()
+}
+
+/// What goes back to particles, parameters and gravity, piece by piece.
+fn take_in(gradient: &mut Gradient, pieces: &[Piece<'_>], given: Vec<(Vec<Back>, (Vec<f64>, Vec3))>) {
+    for (piece, (backs, (parameters, gravity))) in pieces.iter().zip(given) {
+        let sums = &mut gradient.parameters[piece.list.material as usize];
+        sums.iter_mut().zip(parameters).for_each(|(sum, own)| *sum += own);
+        (0..3).for_each(|d| gradient.gravity[d] += gravity[d]);
+        for (number, back) in piece.number.iter().zip(backs) {
+            let (number, particles) = (*number as usize, &mut gradient.particles);
+            particles.position[number] = back.position;
+            particles.velocity[number] = back.velocity;
+            particles.affine[number] = back.affine;
+            particles.strain[number] = back.strain;
+            particles.state[number] = back.state;
+        }
+    }
+}
+
+impl Nodes {
+    /// The numbers that nodes of a piece have among all.
+    fn numbers_of(&self, piece: &Self) -> impl Fn(u32) -> usize + use<> {
+        let blocks: Vec<usize> = piece.keys.iter().map(|key| self.at[key]).collect();
+        move |node| blocks[node as usize / CELLS] * CELLS + node as usize % CELLS
+    }
+}
+
+impl Piece<'_> {
+    /// A plane of its values, the last one's again behind its end.
+    fn plane(&self, values: &[f64]) -> Plane<f64, BATCH> {
+        Plane(std::array::from_fn(|i| values[self.first + i.min(self.count - 1)]))
+    }
+
+    /// The number that a law names; any number at all, by a law that is wrong.
+    fn id(&self, i: u64) -> u64 {
+        let within = usize::try_from(i).ok().filter(|i| *i < self.count);
+        within.map_or(u64::MAX, |i| self.list.id[self.first + i])
+    }
+}
+
+/// The place of each particle of each list among all, in the order of their numbers.
+fn numbers(particles: &ParticleState) -> Vec<Vec<u32>> {
+    let mut numbers: Vec<Vec<u32>> = particles.lists.iter().map(|list| vec![0; list.len()]).collect();
+    for (number, (l, i)) in by_number(particles).into_iter().enumerate() {
+        numbers[l][i] = number as u32;
+    }
+    numbers
+}
+
+impl Adjoint for CpuAdjoint {
+    fn step_back(&mut self, before: &ParticleState, time: f64, dt: f64, gradient: &mut Gradient) -> Result<()> {
+        let rates = before.lists.iter().flat_map(|list| &list.affine);
+        let fastest = rates.map(|c| c.iter().map(|x| x * x).sum::<f64>()).fold(0.0, f64::max).sqrt();
+        let parts = (fastest * before.strain_dt / MAX_DEFORMATION).ceil().max(1.0) as u32;
+        let step = Step { dt, gravity: self.scene.gravity_at(time), strain_dt: before.strain_dt, parts };
+        self.pool.install(|| match dt == 0.0 {
+            true => self.carry_back(before, &step, gradient),
+            false => self.back(before, &step, gradient),
+        })
+    }
+}

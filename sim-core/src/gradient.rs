@@ -1,0 +1,386 @@
+//! Gradients: what a loss at the end of some steps owes to what was before them.
+//!
+//! A [`Tape`] remembers where these steps began and how long they were, and no more. To pull a loss back it takes them again, keeps the particles of as many
+//! steps at a time as there are such stretches, and goes back through each stretch step by step ([`Adjoint`]). So it needs room for twice the root of the
+//! number of steps, and takes them twice. Nothing is clipped.
+
+use crate::{Backend, Engine, Error, Form, Options, ParticleState, Plan, Registry, Result, Simulation, Stage, Vec3};
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+/// Most history variables of a law that gradients go through.
+pub const MOST_STATES: usize = 16;
+
+/// Derivatives of a loss by what particles are: for each particle, in the order of their numbers.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Cotangents {
+    /// By position [1/m].
+    pub position: Vec<Vec3>,
+    /// By velocity [s/m].
+    pub velocity: Vec<Vec3>,
+    /// By the affine matrix C, row-major [s].
+    pub affine: Vec<[f64; 9]>,
+    /// By strain: F row-major, or the six values xx, yy, zz, xy, xz, yz of b_e, where one off the diagonal stands for two entries.
+    pub strain: Vec<[f64; 9]>,
+    /// By the law's history variables.
+    pub state: Vec<[f64; MOST_STATES]>,
+}
+
+impl Cotangents {
+    /// Of a loss that owes nothing to so many particles.
+    pub fn zero(particles: usize) -> Self {
+        Self {
+            position: vec![[0.0; 3]; particles],
+            velocity: vec![[0.0; 3]; particles],
+            affine: vec![[0.0; 9]; particles],
+            strain: vec![[0.0; 9]; particles],
+            state: vec![[0.0; MOST_STATES]; particles],
+        }
+    }
+
+    /// Number of particles.
+    pub fn len(&self) -> usize {
+        self.position.len()
+    }
+    /// Is there none?
+    pub fn is_empty(&self) -> bool {
+        self.position.is_empty()
+    }
+}
+
+/// What a loss at the end of a [`Tape`] owes to what was at its start, and to what was the same throughout.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Gradient {
+    /// By the particles at the start.
+    pub particles: Cotangents,
+    /// By each parameter of each of the plan's materials, in their order: 0 for those that the law does not declare differentiable.
+    pub parameters: Vec<Vec<f64>>,
+    /// By gravity [s²/m].
+    pub gravity: Vec3,
+}
+
+/// Where particles are and how fast, in the order of their numbers.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Moment {
+    /// Numbers.
+    pub id: Vec<u64>,
+    /// Positions [m].
+    pub position: Vec<Vec3>,
+    /// Velocities [m/s].
+    pub velocity: Vec<Vec3>,
+}
+
+/// A step that was taken.
+#[derive(Clone, Copy, Debug)]
+struct Taken {
+    /// When it began, and its length [s].
+    time: f64,
+    dt: f64,
+}
+
+/// What is asked whether to go on, after each of so many steps.
+pub type OnStep<'a> = dyn FnMut(usize) -> ControlFlow<()> + 'a;
+
+/// Steps that gradients can go back through. Made by [`Simulation::record`].
+pub struct Tape {
+    plan: Arc<Plan>,
+    forwards: Arc<dyn Backend>,
+    backwards: Arc<dyn Backend>,
+    start: ParticleState,
+    steps: Vec<Taken>,
+    moments: [Moment; 2],
+}
+
+impl std::fmt::Debug for Tape {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Tape")
+            .field("scene", &self.plan.scene.name)
+            .field("particles", &self.moments[0].id.len())
+            .field("steps", &self.steps.len())
+            .finish_non_exhaustive()
+    }
+}
+
+/// The particles of all lists, in the order of their numbers: of each its list and place there.
+pub fn by_number(particles: &ParticleState) -> Vec<(usize, usize)> {
+    let lists = particles.lists.iter().enumerate();
+    let mut all: Vec<(usize, usize)> = lists.flat_map(|(l, list)| (0..list.len()).map(move |i| (l, i))).collect();
+    all.sort_unstable_by_key(|&(l, i)| particles.lists[l].id[i]);
+    all
+}
+
+fn moment(particles: &ParticleState) -> Moment {
+    let mut moment = Moment::default();
+    for (l, i) in by_number(particles) {
+        let list = &particles.lists[l];
+        moment.id.push(list.id[i]);
+        moment.position.push(list.position(i));
+        moment.velocity.push(list.velocity[i]);
+    }
+    moment
+}
+
+/// What a scene may do so that it needs no stage that has no adjoint.
+fn mend(stage: Stage) -> &'static str {
+    match stage {
+        Stage::SLEEP => "set sleep.on = false",
+        Stage::CONTACT | Stage::BODIES => {
+            "leave tools, robots and other couplings out: gradients do not go through contact yet"
+        }
+        Stage::ADAPT | Stage::RESTRICT | Stage::PROLONG => {
+            "use one level: gradients do not go through nested levels yet"
+        }
+        Stage::ARCHIVE => "give the world an end: gradients do not go through the archive of ground out of reach yet",
+        _ => "choose a scene without it",
+    }
+}
+
+/// Holds a plan to what gradients can go back through.
+fn check(plan: &Plan, backwards: &dyn Backend) -> Result<()> {
+    let lacks = |stage: &Stage| !backwards.has_form(*stage, Form::Adjoint);
+    if let Some(stage) = plan.schedule.stages().into_iter().find(lacks) {
+        return Err(Error::Missing {
+            kind: "backend",
+            name: backwards.name().to_owned(),
+            origin: "registered".to_owned(),
+            what: format!("{} of the stage '{stage}'", Form::Adjoint),
+            why: "gradients go back through every stage of a step".to_owned(),
+            mend: mend(stage).to_owned(),
+        });
+    }
+    for planned in &plan.materials {
+        let table = &planned.material.table;
+        let callbacks =
+            [("update_f64", table.update_f64.is_some()), ("update_adj_f64", table.update_adj_f64.is_some())];
+        if let Some((lacking, _)) = callbacks.iter().find(|(_, has)| !has) {
+            return Err(Error::Missing {
+                kind: "material",
+                name: planned.material.name.clone(),
+                origin: planned.material.origin.clone(),
+                what: (*lacking).to_owned(),
+                why: format!("gradients go back through the law of material '{}'", planned.name),
+                mend: "supply it (laws that are written with the kit have it), or use another law".to_owned(),
+            });
+        }
+        if planned.damping.is_some() {
+            return Err(refused("material.damping", "damping has no adjoint yet", "leave it out"));
+        }
+    }
+    if plan.flows.is_some() {
+        return Err(refused("source", "sources and sinks have no adjoint", "leave them out"));
+    }
+    Ok(())
+}
+
+fn refused(path: &str, what: &str, mend: &str) -> Error {
+    Error::Body { path: path.to_owned(), what: format!("gradients: {what}"), mend: mend.to_owned() }
+}
+
+impl Simulation {
+    /// Steps until `until` [s], as [`advance`](Self::advance) does, and remembers them, so that [gradients](Tape::pull_back) can go back through them. Backends that have
+    /// no adjoint of their own are gone back through by one that has, in f64.
+    ///
+    /// # Errors
+    /// [`Error::Missing`] for a stage or a law that has no adjoint, by name and before any step. [`Error::Body`] if particles left the world on the way, or were
+    /// put back into it. Else as [`step`](Self::step).
+    pub fn record(&mut self, registry: &Registry, until: f64) -> Result<Tape> {
+        let tape = self.record_while(registry, until, |_| ControlFlow::Continue(()))?;
+        Ok(tape.expect("nothing breaks it off"))
+    }
+
+    /// The same, unless `on_step` breaks it off, which is asked after each step: then there is no tape.
+    ///
+    /// # Errors
+    /// As [`record`](Self::record).
+    pub fn record_while(
+        &mut self,
+        registry: &Registry,
+        until: f64,
+        mut on_step: impl FnMut(&Self) -> ControlFlow<()>,
+    ) -> Result<Option<Tape>> {
+        let plan = self.plan_shared();
+        let own = Arc::clone(registry.backend(self.backend())?);
+        let stages = plan.schedule.stages();
+        let has_all = |backend: &Arc<dyn Backend>| stages.iter().all(|stage| backend.has_form(*stage, Form::Adjoint));
+        let default = Arc::clone(registry.backend(&Options::default().backend)?);
+        let backwards = if has_all(&own) { Arc::clone(&own) } else { default };
+        check(&plan, &*backwards)?;
+        let start = self.engine().state();
+        self.engine().check()?;
+        let mut lost = self.lost();
+        let mut steps = Vec::new();
+        let mut time = self.time();
+        let reached = self.advance(until, |simulation, report| {
+            steps.push(Taken { time, dt: report.dt });
+            time = simulation.time();
+            on_step(simulation)
+        })?;
+        if !reached {
+            return Ok(None);
+        }
+        let end = self.particles();
+        self.engine().check()?;
+        lost = self.lost() - lost;
+        let moments = [moment(&start), moment(&end)];
+        if lost > 0 || moments[0].id != moments[1].id {
+            return Err(refused(
+                "world.leaving",
+                "particles left the world, or were put back into it, on the way",
+                "make the world larger, or record a shorter time",
+            ));
+        }
+        Ok(Some(Tape { plan, forwards: own, backwards, start, steps, moments }))
+    }
+}
+
+impl Tape {
+    /// Number of steps.
+    pub fn len(&self) -> usize {
+        self.steps.len()
+    }
+    /// Is there none?
+    pub fn is_empty(&self) -> bool {
+        self.steps.is_empty()
+    }
+    /// What is simulated.
+    pub fn plan(&self) -> &Plan {
+        &self.plan
+    }
+    /// The particles at its start.
+    pub fn start(&self) -> &Moment {
+        &self.moments[0]
+    }
+    /// The particles at its end.
+    pub fn end(&self) -> &Moment {
+        &self.moments[1]
+    }
+
+    /// From what a loss owes to the particles at the end to what it owes to those at the start, and to what was the same throughout.
+    ///
+    /// # Errors
+    /// [`Error::Body`] if there are not as many cotangents as particles, or one is not finite; [`Error::MaterialFailed`] if a law's derivative is not finite; what the engine says that takes
+    /// the steps again.
+    pub fn pull_back(&self, cotangents: Cotangents) -> Result<Gradient> {
+        let gradient = self.pull_back_while(cotangents, &mut |_| ControlFlow::Continue(()))?;
+        Ok(gradient.expect("nothing breaks it off"))
+    }
+
+    /// The same, unless `on_step` breaks it off: then there is no gradient. It is told how many steps have been taken, forwards again or backwards, of three times
+    /// [`len`](Self::len).
+    ///
+    /// # Errors
+    /// As [`pull_back`](Self::pull_back).
+    pub fn pull_back_while(&self, cotangents: Cotangents, on_step: &mut OnStep<'_>) -> Result<Option<Gradient>> {
+        let particles = self.moments[0].id.len();
+        let Cotangents { position, velocity, affine, strain, state } = &cotangents;
+        if [position.len(), velocity.len(), affine.len(), strain.len(), state.len()] != [particles; 5] {
+            let what = format!("{} cotangents of {particles} particles", position.len());
+            return Err(refused("cotangents", &what, "give one for each particle, in the order of their numbers"));
+        }
+        let own = position.iter().chain(velocity).flatten();
+        let rest = affine.iter().chain(strain).flatten().chain(state.iter().flatten());
+        if own.chain(rest).any(|x| !x.is_finite()) {
+            return Err(refused("cotangents", "one is not a finite number", "look at the loss that they come from"));
+        }
+        let mut gradient = Gradient {
+            particles: cotangents,
+            parameters: self.plan.materials.iter().map(|planned| vec![0.0; planned.parameters.len()]).collect(),
+            gravity: [0.0; 3],
+        };
+        let mut adjoint = self.backwards.adjoint(&self.plan)?;
+        let stretch = self.steps.len().isqrt().max(1);
+        let mut done = 0;
+        let mut go_on = || {
+            done += 1;
+            on_step(done)
+        };
+        // Where each stretch begins, and the last state of all.
+        let mut kept = Vec::new();
+        let see = |i: usize, before: &Before| {
+            if i.is_multiple_of(stretch) || i == self.steps.len() {
+                kept.push(before.clone());
+            }
+        };
+        let start = Before { particles: self.start.clone(), lagging: None };
+        if self.take_again(start, &self.steps, see, &mut go_on)?.is_break() {
+            return Ok(None);
+        }
+        // A backend that brings strain up to date within a step has done so once more.
+        if let Some(lagging) = kept.pop().and_then(|end| end.lagging) {
+            let time = self.steps.last().map_or(0.0, |step| step.time + step.dt);
+            adjoint.step_back(&lagging, time, 0.0, &mut gradient)?;
+        }
+        for (steps, start) in self.steps.chunks(stretch).zip(kept).rev() {
+            let mut within = Vec::with_capacity(steps.len());
+            let see = |_: usize, before: &Before| within.push(before.clone().with_lag());
+            if self.take_again(start, &steps[..steps.len() - 1], see, &mut go_on)?.is_break() {
+                return Ok(None);
+            }
+            for (step, before) in steps.iter().zip(within).rev() {
+                adjoint.step_back(&before, step.time, step.dt, &mut gradient)?;
+                if go_on().is_break() {
+                    return Ok(None);
+                }
+            }
+        }
+        Ok(Some(gradient))
+    }
+
+    /// Takes steps again from a state, and shows the particles before each of them, and behind the last.
+    fn take_again(
+        &self,
+        start: Before,
+        steps: &[Taken],
+        mut see: impl FnMut(usize, &Before),
+        go_on: &mut dyn FnMut() -> ControlFlow<()>,
+    ) -> Result<ControlFlow<()>> {
+        see(0, &start);
+        if steps.is_empty() {
+            return Ok(ControlFlow::Continue(()));
+        }
+        let mut last = start.particles.clone();
+        let mut engine: Box<dyn Engine> = self.forwards.compile(&self.plan, start.particles)?;
+        for (i, step) in steps.iter().enumerate() {
+            let report = engine.step(step.time, step.dt, &mut [])?;
+            if report.dt != step.dt {
+                return Err(refused("steps", "one came out shorter when it was taken again", "record them anew"));
+            }
+            let now = engine.state();
+            engine.check()?;
+            let lagging = (now.strain_dt == 0.0).then(|| lagging(&now, &last, step.dt));
+            last.clone_from(&now);
+            see(i + 1, &Before { particles: now, lagging });
+            if go_on().is_break() {
+                return Ok(ControlFlow::Break(()));
+            }
+        }
+        Ok(ControlFlow::Continue(()))
+    }
+}
+
+/// Particles before a step.
+#[derive(Clone)]
+struct Before {
+    /// As the engine has them.
+    particles: ParticleState,
+    /// With strain and history as they were before C, which the step before has found, changed them: if the engine has already done so. Gradients go back through laws at the
+    /// beginning of a step.
+    lagging: Option<ParticleState>,
+}
+
+impl Before {
+    fn with_lag(self) -> ParticleState {
+        self.lagging.unwrap_or(self.particles)
+    }
+}
+
+/// Particles with strain and history of a step of `dt` before, which C has yet to change.
+fn lagging(now: &ParticleState, before: &ParticleState, dt: f64) -> ParticleState {
+    let mut lagging = ParticleState { kept: None, sort: None, strain_dt: dt, ..now.clone() };
+    for ((l, i), (m, j)) in by_number(now).into_iter().zip(by_number(before)) {
+        let (to, from) = (&mut lagging.lists[l], &before.lists[m]);
+        let planes = to.strain.iter_mut().zip(&from.strain).chain(to.state.iter_mut().zip(&from.state));
+        planes.for_each(|(to, from)| to[i] = from[j]);
+    }
+    lagging
+}
