@@ -16,6 +16,8 @@ mod couplings;
 mod damping;
 #[path = "gpu/free.rs"]
 mod free;
+#[path = "gpu/gradients.rs"]
+mod gradients;
 #[path = "gpu/ground.rs"]
 mod ground;
 #[path = "gpu/levels.rs"]

@@ -8,6 +8,7 @@ mod arrays;
 mod environment;
 mod errors;
 mod given;
+mod gradient;
 mod machine;
 mod material;
 mod picture;
@@ -110,6 +111,8 @@ fn _core(module: &Bound<'_, PyModule>) -> PyResult<()> {
     module.add("__version__", env!("CARGO_PKG_VERSION"))?;
     module.add_class::<simulation::Simulation>()?;
     module.add_class::<state::State>()?;
+    module.add_class::<gradient::Tape>()?;
+    module.add_class::<gradient::Gradient>()?;
     module.add_class::<environment::Environment>()?;
     module.add_class::<picture::View>()?;
     module.add_function(wrap_pyfunction!(load_plugin, module)?)?;

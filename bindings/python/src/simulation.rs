@@ -5,6 +5,7 @@ use crate::given::{
     Numbers, axes, blows, check_count, check_world, chosen, first_or_each, named, per_world, placements, precision,
     seeds, tell, whole_seed,
 };
+use crate::gradient::{Signals, Tape};
 use crate::machine::{Machine, Shared};
 use crate::state::State;
 use crate::{arrays, known, records, scene};
@@ -217,6 +218,30 @@ impl Simulation {
             }
             py.check_signals()?;
         }
+    }
+
+    /// Steps a world until `seconds` later and remembers the steps: a `Tape`, through which gradients go back. The others wait.
+    ///
+    /// Gradients go through every law, walls, and one level of cells; `precision="f64"` makes them as exact as they can be. Ctrl-C ends it, without a tape.
+    ///
+    /// Raises `PluginError` for what has no adjoint yet, by name (tools, robots, nested levels, sleep), `BodyError` if particles left the world on the way, else as `step`.
+    #[pyo3(signature = (seconds, *, world=0))]
+    fn record(&self, py: Python<'_>, seconds: f64, world: usize) -> PyResult<Tape> {
+        if !(seconds > 0.0 && seconds.is_finite()) {
+            return Err(PyValueError::new_err(format!("seconds: {seconds} is no time to record")));
+        }
+        let mut machine = self.machine(py)?;
+        check_world(world, machine.len())?;
+        let (registry, mut signals) = (known(py)?, Signals::new());
+        let machine = &mut *machine;
+        let record = || {
+            let one = machine.world_mut(world);
+            one.record_while(&registry, one.time() + seconds, |_| signals.look())
+        };
+        let tape = py.detach(record).map_err(|error| raised(py, error, None))?;
+        signals.raised()?;
+        let tape = tape.expect("only a signal breaks it off");
+        Ok(Tape { tape })
     }
 
     /// Simulated time of world 0 [s].

@@ -371,6 +371,33 @@ pub use barchan_rigid::robot::RobotModel;
 #[doc(inline)]
 pub use barchan_core::{HeightScan, LinkState, Patch, PointForce, RobotState};
 
+/// Gradients: what a loss at the end of some steps owes to what was before them.
+///
+/// ```
+/// use barchan::scene::{Body, MaterialSpec, Shape, World};
+/// use barchan::{Cotangents, Gradient, Options, Precision, Scene, Simulation, Tape};
+///
+/// let mut scene = Scene::new("fall", World::new(0.1, [0.0; 3], [1.0, 1.0, 2.0]), 0.1)
+///     .with(MaterialSpec::new("jelly", "neo_hookean", 1000.0))
+///     .with(Body::new("jelly", Shape::cuboid([0.4, 0.4, 1.0], [0.6, 0.6, 1.2])));
+/// scene.sleep.on = Some(false);
+/// let options = Options { precision: Precision::F64, ..Options::default() };
+/// let registry = barchan::registry();
+/// let mut simulation = Simulation::new(&registry, &scene, &options)?;
+/// let tape: Tape = simulation.record(&registry, 0.1)?;
+///
+/// // The loss is the mean height. It owes 0.1 s for each m/s that particles had at the start.
+/// let particles = tape.end().id.len();
+/// let mut loss = Cotangents::zero(particles);
+/// loss.position.iter_mut().for_each(|x| x[2] = 1.0 / particles as f64);
+/// let gradient: Gradient = tape.pull_back(loss)?;
+/// let by_speed: f64 = gradient.particles.velocity.iter().map(|v| v[2]).sum();
+/// assert!((by_speed - 0.1).abs() < 1e-9);
+/// # Ok::<(), barchan::Error>(())
+/// ```
+#[doc(inline)]
+pub use barchan_core::{Cotangents, Gradient, Tape};
+
 /// What carries a plan out. `tests/seams/backend` of the repository is one of somebody's own.
 ///
 /// ```
@@ -385,7 +412,7 @@ pub use barchan_core::{HeightScan, LinkState, Patch, PointForce, RobotState};
 /// # Ok::<(), barchan::Error>(())
 /// ```
 #[doc(inline)]
-pub use barchan_core::{Backend, Engine, StepReport};
+pub use barchan_core::{Adjoint, Backend, Engine, StepReport};
 
 /// A law of the ground. `materials/template` of the repository holds some to copy.
 ///
@@ -461,8 +488,8 @@ pub use barchan_core::Material;
 pub use barchan_core::Task;
 
 pub use barchan_core::{
-    backend, contact, coupling, file, glam, ledger, material, nearest, observer, parameter, plan, probe, reading,
-    registry as registries, scene, schedule, simulation, snapshot, solid, state, stress, surface, task,
+    backend, contact, coupling, file, glam, gradient, ledger, material, nearest, observer, parameter, plan, probe,
+    reading, registry as registries, scene, schedule, simulation, snapshot, solid, state, stress, surface, task,
 };
 pub use barchan_tasks as tasks;
 

@@ -1,7 +1,8 @@
 //! What must hold for every scene.
 
+use crate::scenes::Noise;
 use barchan::scene::{Leaving, OverBound};
-use barchan::{Error, Ledger, Options, Precision, Registry, Scene, Simulation, Vec3};
+use barchan::{Cotangents, Error, Ledger, Options, Precision, Registry, Scene, Simulation, Tape, Vec3};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -18,6 +19,8 @@ const MASS: f64 = 1e-5;
 const MOMENTUM: [f64; 2] = [1e-9, 1e-3];
 /// Half of all particles may be this far apart in two number formats or on two backends, and all but a twentieth [cells].
 const APART: [f64; 2] = [1e-3, 0.05];
+/// Gradients over parts may be off by this from that over all, relative to the greatest: both are found in f64.
+const CHAIN: f64 = 1e-9;
 
 /// A rule that a scene breaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -42,6 +45,8 @@ pub enum Rule {
     Backend,
     /// It takes many steps at once as it takes them one by one.
     Looking,
+    /// Gradients obey the chain rule, with any number of threads.
+    Gradient,
 }
 
 impl fmt::Display for Rule {
@@ -57,6 +62,7 @@ impl fmt::Display for Rule {
             Self::Precision => "f32 is far from f64",
             Self::Backend => "the backend is far from the CPU",
             Self::Looking => "many steps at once give other bits than one by one",
+            Self::Gradient => "a gradient is not that of its parts",
         })
     }
 }
@@ -171,6 +177,7 @@ impl Judge {
         }
         self.is_near_others(&scene, one.plan().dt)?;
         self.is_the_same_at_once(&scene)?;
+        self.gradients_chain(&scene, one.plan().dt)?;
         Ok(Outcome::Ran(one.step_count(), None))
     }
 
@@ -184,8 +191,8 @@ impl Judge {
             let options = Options { backend: backend.to_owned(), ..self.options(precision, 1) };
             match Simulation::new(&self.registry, &scene, &options) {
                 Ok(simulation) => self.run(simulation, None).map(Some),
-                // What a backend lacks it names.
-                Err(Error::Missing { .. }) => Ok(None),
+                // What a backend lacks it names. In f64 particles are larger.
+                Err(Error::Missing { .. } | Error::Capacity { .. }) => Ok(None),
                 Err(error) => broken(rule, error.to_string()),
             }
         };
@@ -222,6 +229,59 @@ impl Judge {
         };
         if left(&one) != left(&many) {
             return broken(Rule::Looking, difference(&one.simulation, &many.simulation));
+        }
+        Ok(())
+    }
+
+    /// Of a scene without what gradients do not go through: is a gradient over some steps that of their halves, one after the other, and the same bits on two threads?
+    fn gradients_chain(&self, scene: &Scene, dt: f64) -> Held<()> {
+        let mut scene = scene.clone();
+        (scene.tool, scene.robot, scene.coupling) = (Vec::new(), Vec::new(), Vec::new());
+        (scene.inflow, scene.outflow, scene.probe, scene.task) = (Vec::new(), Vec::new(), Vec::new(), None);
+        scene.material.iter_mut().for_each(|material| material.damping = 0.0);
+        (scene.levels, scene.sleep.on) = (Default::default(), Some(false));
+        (scene.time.step, scene.time.over_bound) = (Some(0.25 * dt), OverBound::Substep);
+        let start = |threads| Simulation::new(&self.registry, &scene, &self.options(Precision::F64, threads));
+        // What is left may be no scene: levels may follow a tool, or hold up what is too large without them.
+        let (Ok(mut whole), Ok(mut parted), Ok(mut other)) = (start(1), start(1), start(2)) else { return Ok(()) };
+        let end = scene.time.step.unwrap_or_default() * 6.0;
+        let record = |simulation: &mut Simulation, until: f64| match simulation.record(&self.registry, until) {
+            Ok(tape) => Ok(Some(tape)),
+            Err(error @ (Error::Missing { .. } | Error::Unstable { .. })) => broken(Rule::Gradient, error.to_string()),
+            // Particles that leave.
+            Err(_) => Ok(None),
+        };
+        let (Some(tape), Some(same)) = (record(&mut whole, end)?, record(&mut other, end)?) else { return Ok(()) };
+        let (Some(first), Some(second)) = (record(&mut parted, 0.5 * end)?, record(&mut parted, end)?) else {
+            return Ok(());
+        };
+        if first.len() + second.len() != tape.len() {
+            return Ok(());
+        }
+        let particles = tape.end().id.len();
+        let mut loss = Cotangents::zero(particles);
+        let mut noise = Noise::new(3);
+        for (x, v) in loss.position.iter_mut().zip(&mut loss.velocity) {
+            *x = std::array::from_fn(|_| noise.draw() / scene.world.cell);
+            *v = std::array::from_fn(|_| noise.draw() * end / scene.world.cell);
+        }
+        let back = |tape: &Tape, loss| tape.pull_back(loss).or_else(|e| broken(Rule::Gradient, e.to_string()));
+        let (whole, other) = (back(&tape, loss.clone())?, back(&same, loss.clone())?);
+        if whole != other {
+            return broken(Rule::Gradient, "two threads give other bits than one");
+        }
+        let later = back(&second, loss)?;
+        let parted = back(&first, later.particles)?;
+        for (what, whole, parted) in [
+            ("positions", &whole.particles.position, &parted.particles.position),
+            ("velocities", &whole.particles.velocity, &parted.particles.velocity),
+        ] {
+            let size = whole.iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
+            let apart = whole.iter().flatten().zip(parted.iter().flatten()).map(|(a, b)| (a - b).abs());
+            let apart = apart.fold(0.0, |most: f64, x| if x > most || x.is_nan() { x } else { most });
+            if !(apart <= CHAIN * size) {
+                return broken(Rule::Gradient, format!("by {what} it is off by {apart:e} of {size:e}"));
+            }
         }
         Ok(())
     }

@@ -11,6 +11,7 @@ mod exports;
 mod flow;
 mod forks;
 mod goldens;
+mod gradients;
 mod granular;
 mod hard_cases;
 mod images;

@@ -10,7 +10,7 @@
 `barchan.records` holds what simulations say, and `barchan.errors` what they refuse.
 """
 
-from barchan._core import Environment, Simulation, State, __version__, adapters, add_material, load_plugin, registry, scenes, task
+from barchan._core import Environment, Gradient, Simulation, State, Tape, __version__, adapters, add_material, load_plugin, registry, scenes, task
 from barchan.errors import (
     BarchanError,
     BarchanWarning,
@@ -37,12 +37,14 @@ __all__ = [
     "DisplayError",
     "Environment",
     "FileError",
+    "Gradient",
     "PluginError",
     "SceneError",
     "Simulation",
     "SimulationError",
     "SnapshotError",
     "State",
+    "Tape",
     "UnknownNameError",
     "__version__",
     "add_material",

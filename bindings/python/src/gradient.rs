@@ -1,0 +1,212 @@
+//! Gradients: the classes `Tape` and `Gradient`.
+
+use crate::errors::OrRaise;
+use crate::given::Numbers;
+use crate::machine::SLICE;
+use crate::records;
+use barchan::gradient::Moment;
+use barchan::{Cotangents, Plan, Vec3};
+use numpy::{PyArray1, PyArrayMethods};
+use pyo3::exceptions::{PyTypeError, PyValueError};
+use pyo3::prelude::*;
+use pyo3::types::PyDict;
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+/// Asks for signals now and then, and breaks off when there is one.
+pub(crate) struct Signals {
+    looked: Instant,
+    raised: PyResult<()>,
+}
+
+impl Signals {
+    pub(crate) fn new() -> Self {
+        Self { looked: Instant::now(), raised: Ok(()) }
+    }
+
+    pub(crate) fn look(&mut self) -> ControlFlow<()> {
+        if self.looked.elapsed() >= SLICE {
+            self.raised = Python::attach(|py| py.check_signals());
+            self.looked = Instant::now();
+        }
+        if self.raised.is_err() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    }
+
+    /// What has been raised, if anything.
+    pub(crate) fn raised(self) -> PyResult<()> {
+        self.raised
+    }
+}
+
+/// Steps that gradients can go back through: what `Simulation.record` returns.
+///
+/// Particles are in the order of their numbers (`id`), at the start and at the end alike.
+#[pyclass(module = "barchan", frozen)]
+pub(crate) struct Tape {
+    pub(crate) tape: barchan::Tape,
+}
+
+/// Rows of a cotangent, or zeros.
+fn cotangent(given: Option<&Numbers<'_>>, what: &str, to: &mut [Vec3]) -> PyResult<()> {
+    let Some(given) = given else { return Ok(()) };
+    let given = given.as_array();
+    if given.shape() != [to.len(), 3] {
+        return Err(PyValueError::new_err(format!(
+            "{what}: its shape is {:?}; it should be ({}, 3), a row for each particle in the order of their numbers",
+            given.shape(),
+            to.len()
+        )));
+    }
+    for (row, to) in given.rows().into_iter().zip(to) {
+        (0..3).for_each(|d| to[d] += row[d]);
+    }
+    Ok(())
+}
+
+fn moment<'py>(py: Python<'py>, moment: &Moment) -> PyResult<Bound<'py, PyAny>> {
+    let fields = [
+        ("id", records::vector(py, moment.id.clone())),
+        ("position", records::rows(py, moment.position.clone())?),
+        ("velocity", records::rows(py, moment.velocity.clone())?),
+    ];
+    records::record(py, "Particles", &fields)
+}
+
+#[pymethods]
+impl Tape {
+    /// The particles at its start: `id`, `position` [m] and `velocity` [m/s] of a `Particles` record.
+    #[getter]
+    fn start<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        moment(py, self.tape.start())
+    }
+
+    /// The particles at its end, likewise.
+    #[getter]
+    fn end<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        moment(py, self.tape.end())
+    }
+
+    /// What a loss owes to what was at the start and throughout: a `Gradient`. Its derivatives by the particles at the end are given, as arrays of the shape (n, 3), one row for
+    /// each particle in the order of `end`: by `position` [1/m] and by `velocity` [s/m]. What is left out is zero. `then` is the gradient of the tape that follows on this one, if the loss looks
+    /// further.
+    ///
+    /// It takes all steps twice again, and goes back through each, which takes several times as long as a step. Ctrl-C ends it.
+    ///
+    /// Raises `BodyError` if a derivative is not finite, `SimulationError` if one of a law is not.
+    #[pyo3(signature = (*, position=None, velocity=None, then=None))]
+    fn pull_back(
+        &self,
+        py: Python<'_>,
+        position: Option<Numbers<'_>>,
+        velocity: Option<Numbers<'_>>,
+        then: Option<&Bound<'_, Gradient>>,
+    ) -> PyResult<Gradient> {
+        let particles = self.tape.end().id.len();
+        if position.is_none() && velocity.is_none() && then.is_none() {
+            return Err(PyTypeError::new_err("it is not said what the loss owes to; give position, velocity or then"));
+        }
+        let mut cotangents = match then {
+            Some(then) => then.get().gradient.particles.clone(),
+            None => Cotangents::zero(particles),
+        };
+        if cotangents.len() != particles {
+            return Err(PyValueError::new_err(format!(
+                "then: it is a gradient of {} particles, and here are {particles}",
+                cotangents.len()
+            )));
+        }
+        cotangent(position.as_ref(), "position", &mut cotangents.position)?;
+        cotangent(velocity.as_ref(), "velocity", &mut cotangents.velocity)?;
+        let mut signals = Signals::new();
+        let gradient = py.detach(|| self.tape.pull_back_while(cotangents, &mut |_| signals.look())).or_raise(py)?;
+        signals.raised()?;
+        let gradient = gradient.expect("only a signal breaks it off");
+        let own = named(self.tape.plan(), &gradient.parameters);
+        Ok(match then {
+            Some(then) => Gradient::after(gradient, own, then.get()),
+            None => Gradient { gradient, parameters: own },
+        })
+    }
+
+    fn __len__(&self) -> usize {
+        self.tape.len()
+    }
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(PyTypeError::new_err("a Tape cannot be pickled; record the steps in the process that needs it"))
+    }
+    fn __repr__(&self) -> String {
+        let (steps, particles) = (self.tape.len(), self.tape.end().id.len());
+        format!("<barchan.Tape of '{}': {steps} steps of {particles} particles>", self.tape.plan().scene.name)
+    }
+}
+
+/// Derivatives by parameters, with names of materials and parameters.
+type Named = Vec<(String, Vec<(String, f64)>)>;
+
+fn named(plan: &Plan, parameters: &[Vec<f64>]) -> Named {
+    let of_one = |(planned, values): (&barchan::plan::PlannedMaterial, &Vec<f64>)| {
+        let names = planned.material.parameters.iter().map(|parameter| parameter.name.clone());
+        (planned.name.clone(), names.zip(values.iter().copied()).collect())
+    };
+    plan.materials.iter().zip(parameters).map(of_one).collect()
+}
+
+/// What a loss owes to what was at the start of a tape, and throughout: what `Tape.pull_back` returns. Where the tape is followed by another one (`then`), it is of both.
+#[pyclass(module = "barchan", frozen)]
+pub(crate) struct Gradient {
+    gradient: barchan::Gradient,
+    parameters: Named,
+}
+
+impl Gradient {
+    /// With what a tape that follows owes to what is the same throughout.
+    fn after(mut gradient: barchan::Gradient, own: Named, then: &Self) -> Self {
+        (0..3).for_each(|d| gradient.gravity[d] += then.gradient.gravity[d]);
+        let sum = |((name, own), (_, other)): ((String, Vec<(String, f64)>), &(String, Vec<(String, f64)>))| {
+            let each = own.into_iter().zip(other);
+            (name, each.map(|((parameter, x), (_, y))| (parameter, x + y)).collect())
+        };
+        let parameters = own.into_iter().zip(&then.parameters).map(sum).collect();
+        Self { gradient, parameters }
+    }
+}
+
+#[pymethods]
+impl Gradient {
+    /// By the positions of the particles at the start [1/m], (n, 3), in the order of their numbers.
+    #[getter]
+    fn position<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        records::rows(py, self.gradient.particles.position.clone())
+    }
+
+    /// By their velocities [s/m], (n, 3).
+    #[getter]
+    fn velocity<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        records::rows(py, self.gradient.particles.velocity.clone())
+    }
+
+    /// By gravity [s²/m], (3,).
+    #[getter]
+    fn gravity<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_slice(py, &self.gradient.gravity)
+    }
+
+    /// By the parameters of materials, in SI units: a dict by the material's name, of dicts by the parameter's. It is 0 for those that are not differentiable.
+    #[getter]
+    fn parameters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let all = PyDict::new(py);
+        for (material, values) in &self.parameters {
+            let of_one = PyDict::new(py);
+            values.iter().try_for_each(|(name, value)| of_one.set_item(name, value))?;
+            all.set_item(material, of_one)?;
+        }
+        Ok(all)
+    }
+
+    fn __reduce__(&self) -> PyResult<()> {
+        Err(PyTypeError::new_err("a Gradient cannot be pickled; its arrays can"))
+    }
+    fn __repr__(&self) -> String {
+        format!("<barchan.Gradient by {} particles>", self.gradient.particles.len())
+    }
+}

@@ -1,0 +1,105 @@
+"""Tapes and gradients in Python: shapes, names, chaining, refusals."""
+
+import pickle
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import barchan
+
+JELLY = {
+    "name": "drop",
+    "world": {"cell": 0.05, "min": [0, 0, 0], "max": [0.6, 0.4, 0.6], "walls": {"z_min": "stick"}},
+    "time": {"end": 1.0, "step": 1e-3},
+    "sleep": {"on": False},
+    "material": [{"name": "jelly", "law": "neo_hookean", "density": 1000, "parameters": {"young_modulus": 2e4}}],
+    "body": [{"material": "jelly", "shape": {"box": {"min": [0.1, 0.1, 0.02], "max": [0.3, 0.3, 0.2]}}, "velocity": [0.3, 0, -1]}],
+}
+
+
+def drop(young_modulus=2e4):
+    return barchan.Simulation(JELLY, precision="f64", overrides={"material.jelly.parameters.young_modulus": young_modulus})
+
+
+def test_a_gradient_is_the_derivative_by_a_parameter():
+    def height(young_modulus):
+        simulation = drop(young_modulus)
+        simulation.advance(0.06)
+        return simulation.particles().position[:, 2].mean()
+
+    tape = drop().record(0.06)
+    count = len(tape.end)
+    assert len(tape) == 60 and tape.start.position.shape == (count, 3)
+    np.testing.assert_array_equal(tape.start.id, tape.end.id)
+    assert tape.end.position[:, 2].mean() == pytest.approx(height(2e4), abs=1e-15)
+    up = np.zeros((count, 3))
+    up[:, 2] = 1 / count
+    gradient = tape.pull_back(position=up)
+    expected = (height(2e4 + 2) - height(2e4 - 2)) / 4
+    assert gradient.parameters["jelly"]["young_modulus"] == pytest.approx(expected, rel=1e-5)
+    assert gradient.position.shape == gradient.velocity.shape == (count, 3) and gradient.gravity.shape == (3,)
+    # All of it moves along as it starts further to a side.
+    assert gradient.position[:, 2].sum() < 1 and gradient.position.flags.writeable
+    assert set(gradient.parameters["jelly"]) == {"young_modulus", "poisson_ratio"}
+
+
+def test_tapes_chain_and_losses_may_look_at_both():
+    whole = drop().record(0.05)
+    up = np.ones((len(whole.end), 3))
+    both = drop()
+    first, second = both.record(0.02), both.record(0.03)
+    assert both.time == pytest.approx(0.05) and len(first) + len(second) == len(whole)
+    later = second.pull_back(position=up, velocity=0.1 * up)
+    chained = first.pull_back(then=later)
+    direct = whole.pull_back(position=up, velocity=0.1 * up)
+    np.testing.assert_allclose(chained.velocity, direct.velocity, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(chained.gravity, direct.gravity, rtol=1e-9)
+    for name, value in direct.parameters["jelly"].items():
+        assert chained.parameters["jelly"][name] == pytest.approx(value, rel=1e-9)
+    # What the loss owes to the middle is added.
+    looked = first.pull_back(position=up, then=later)
+    alone = first.pull_back(position=up)
+    np.testing.assert_allclose(looked.position, chained.position + alone.position, rtol=1e-9, atol=1e-12)
+
+
+def test_worlds_of_a_batch_are_recorded_one_by_one():
+    worlds = barchan.Simulation(JELLY, worlds=3, precision="f64")
+    tape = worlds.record(0.02, world=1)
+    np.testing.assert_allclose(worlds.times, [0, 0.02, 0])
+    up = np.ones((len(tape.end), 3))
+    np.testing.assert_array_equal(tape.pull_back(position=up).velocity, drop().record(0.02).pull_back(position=up).velocity)
+    with pytest.raises(IndexError, match="no world 3"):
+        worlds.record(0.02, world=3)
+
+
+def test_what_cannot_be_is_refused_by_name(press):
+    tool = barchan.Simulation(press, overrides={"sleep.on": False})
+    with pytest.raises(barchan.PluginError, match="contact.*leave tools"):
+        tool.record(0.01)
+    with pytest.raises(barchan.PluginError, match="sleep.on = false"):
+        barchan.Simulation(JELLY, overrides={"sleep.on": True}).record(0.01)
+    with pytest.raises(ValueError, match="seconds"):
+        drop().record(0)
+    tape = drop().record(0.005)
+    with pytest.raises(TypeError, match="give position, velocity or then"):
+        tape.pull_back()
+    with pytest.raises(ValueError, match=r"position.*\(\d+, 3\)"):
+        tape.pull_back(position=np.zeros((3, 3)))
+    with pytest.raises(barchan.BodyError, match="not a finite number"):
+        tape.pull_back(velocity=np.full((len(tape.end), 3), np.nan))
+    for unpicklable in [tape, tape.pull_back(position=np.zeros((len(tape.end), 3)))]:
+        with pytest.raises(TypeError, match="cannot be pickled"):
+            pickle.dumps(unpicklable)
+    assert "5 steps" in repr(tape)
+
+
+def test_the_example_of_the_documentation_finds_what_it_looks_for():
+    text = (Path(__file__).resolve().parents[3] / "docs" / "gradients.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    assert len(blocks) == 1
+    done = subprocess.run([sys.executable, "-W", "error", "-c", blocks[0]], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr

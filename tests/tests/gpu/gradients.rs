@@ -1,0 +1,64 @@
+//! Gradients through steps that a device took: they are taken again there, and gone back through on the CPU in f64.
+
+use super::{cpu, gpu};
+use barchan::{Cotangents, Gradient, Simulation, Tape};
+use barchan_tests::scenes::within;
+use barchan_tests::sketch::{Head, block, material};
+
+/// A block that falls on the floor and spreads.
+fn spreads(law: &str, parameters: &str) -> String {
+    let walls = "x_min = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    Head::cells(0.05, [12, 4, 8], walls).time("step = 1e-3").with(&[
+        "[sleep]\non = false\n".into(),
+        material(law, 1500.0, parameters),
+        block(law, [0.0; 3], [0.2, 0.2, 0.2], "velocity = [0.4, 0.0, -0.3]"),
+    ])
+}
+
+/// What heights and ways along x, weighed by one another, owe to the start: over so many tapes one after the other.
+fn pulled_back(mut sim: Simulation, tapes: u32) -> Gradient {
+    let record = |k: u32| {
+        sim.record(&barchan::registry(), 0.1 * f64::from(k) / f64::from(tapes)).unwrap_or_else(|e| panic!("{e}"))
+    };
+    let tapes: Vec<Tape> = (1..=tapes).map(record).collect();
+    assert_eq!(tapes.iter().map(Tape::len).sum::<usize>(), 100);
+    let end = tapes[tapes.len() - 1].end();
+    let mut loss = Cotangents::zero(end.id.len());
+    for (of, x) in loss.position.iter_mut().zip(&end.position) {
+        *of = [x[2], 0.0, x[0]];
+    }
+    let mut gradient = Gradient { particles: loss, ..Gradient::default() };
+    for tape in tapes.iter().rev() {
+        gradient = tape.pull_back(gradient.particles).unwrap_or_else(|e| panic!("{e}"));
+    }
+    gradient
+}
+
+/// Also where a loss goes through two tapes, so that it owes something to strain between them, which the device has brought up to date and the CPU has not.
+#[test]
+fn gradients_through_steps_of_a_device_are_those_of_the_cpu() {
+    for (law, parameters) in [
+        ("neo_hookean", "young_modulus = 2e4"),
+        ("sand", "young_modulus = 2e4, friction_angle = 0.6"),
+        ("snow", "young_modulus = 2e4"),
+    ] {
+        let text = spreads(law, parameters);
+        let host = pulled_back(cpu(&text), 1);
+        are_alike(law, &pulled_back(gpu(&text), 1), &host);
+        are_alike(law, &pulled_back(gpu(&text), 2), &host);
+    }
+}
+
+fn are_alike(law: &str, device: &Gradient, host: &Gradient) {
+    for (what, a, b) in [
+        ("positions", &device.particles.position, &host.particles.position),
+        ("velocities", &device.particles.velocity, &host.particles.velocity),
+    ] {
+        let dot = |a: &[[f64; 3]], b: &[[f64; 3]]| {
+            a.iter().flatten().zip(b.iter().flatten()).map(|(a, b)| a * b).sum::<f64>()
+        };
+        let cosine = dot(a, b) / (dot(a, a) * dot(b, b)).sqrt();
+        within(&format!("{law}, {what}: one less the cosine"), 1.0 - cosine, 1e-4);
+        within(&format!("{law}, {what}: lengths"), ((dot(a, a) / dot(b, b)).sqrt() - 1.0).abs(), 1e-3);
+    }
+}
