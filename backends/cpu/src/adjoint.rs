@@ -137,6 +137,13 @@ struct Back {
     state: [f64; MOST_STATES],
 }
 
+/// All that goes back from a piece: to its particles, to its law's parameters, to gravity.
+struct Given {
+    backs: Vec<Back>,
+    parameters: Vec<f64>,
+    gravity: Vec3,
+}
+
 /// A step to go back through.
 #[derive(Clone, Copy)]
 struct Step {
@@ -473,7 +480,7 @@ impl CpuAdjoint {
             let mut backs: Vec<Back> = piece.number.iter().map(as_it_is).collect();
             let made = self.deform(piece, step)?;
             let parameters = self.deform_back(piece, &made, step, gradient, [Plane::default(); 6], &mut backs)?;
-            Ok((backs, (parameters, [0.0; 3])))
+            Ok(Given { backs, parameters, gravity: [0.0; 3] })
         };
         let given: Vec<_> = pieces.par_iter().map(one).collect::<Result<_>>()?;
         take_in(gradient, &pieces, given);
@@ -512,8 +519,8 @@ impl CpuAdjoint {
         }
         self.sums_back(&velocities, &sums, &pairs, &mut owed);
         let one = |((piece, forward), mut backs): ((&Piece<'_>, &Forward), Vec<Back>)| {
-            let given = self.give_back(piece, forward, &owed, step, gradient, &mut backs)?;
-            Ok((backs, given))
+            let (parameters, gravity) = self.give_back(piece, forward, &owed, step, gradient, &mut backs)?;
+            Ok(Given { backs, parameters, gravity })
         };
         let given: Vec<_> = pieces.par_iter().zip(&forwards).zip(backs).map(one).collect::<Result<_>>()?;
         take_in(gradient, &pieces, given);
@@ -531,8 +538,8 @@ fn pieces<'a>(particles: &'a ParticleState, numbers: &'a [Vec<u32>]) -> Vec<Piec
 }
 
 /// What goes back to particles, parameters and gravity, piece by piece.
-fn take_in(gradient: &mut Gradient, pieces: &[Piece<'_>], given: Vec<(Vec<Back>, (Vec<f64>, Vec3))>) {
-    for (piece, (backs, (parameters, gravity))) in pieces.iter().zip(given) {
+fn take_in(gradient: &mut Gradient, pieces: &[Piece<'_>], given: Vec<Given>) {
+    for (piece, Given { backs, parameters, gravity }) in pieces.iter().zip(given) {
         let sums = &mut gradient.parameters[piece.list.material as usize];
         sums.iter_mut().zip(parameters).for_each(|(sum, own)| *sum += own);
         (0..3).for_each(|d| gradient.gravity[d] += gravity[d]);

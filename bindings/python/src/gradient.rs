@@ -6,7 +6,7 @@ use crate::machine::SLICE;
 use crate::records;
 use barchan::gradient::Moment;
 use barchan::{Cotangents, Plan, Vec3};
-use numpy::{PyArray1, PyArrayMethods};
+use numpy::PyArray1;
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -160,13 +160,11 @@ pub(crate) struct Gradient {
 
 impl Gradient {
     /// With what a tape that follows owes to what is the same throughout.
-    fn after(mut gradient: barchan::Gradient, own: Named, then: &Self) -> Self {
+    fn after(mut gradient: barchan::Gradient, mut parameters: Named, then: &Self) -> Self {
         (0..3).for_each(|d| gradient.gravity[d] += then.gradient.gravity[d]);
-        let sum = |((name, own), (_, other)): ((String, Vec<(String, f64)>), &(String, Vec<(String, f64)>))| {
-            let each = own.into_iter().zip(other);
-            (name, each.map(|((parameter, x), (_, y))| (parameter, x + y)).collect())
-        };
-        let parameters = own.into_iter().zip(&then.parameters).map(sum).collect();
+        for ((_, own), (_, other)) in parameters.iter_mut().zip(&then.parameters) {
+            own.iter_mut().zip(other).for_each(|((_, sum), (_, more))| *sum += more);
+        }
         Self { gradient, parameters }
     }
 }

@@ -33,5 +33,5 @@ pub use material::{Events, Lame, MAX_PARAMS, MAX_STATE, MatIn, MatOut, Material,
 pub use spectral::{
     Eigen, Hencky, MIN_STRETCH_SQUARED, left_stretch, log_volume, near_identity, sqrt, sqrt_near_identity,
 };
-pub use subject::{Answer, MOST_STATES, Particle, Precision, Subject, SubjectError};
+pub use subject::{Answer, MOST_STATES, Particle, Precision, PulledBack, Subject, SubjectError};
 pub use tensor::{Mat3, SymMat3};

@@ -139,7 +139,7 @@ impl<T: Real> Eigen<T> {
                 let equal = (a - b).abs().le(a.abs().max(b.abs()) * T::splat(EQUAL));
                 let quotient = (values[i] - values[j]).constant() / T::select(equal, T::one(), a - b);
                 let slope = T::splat(0.5) * (slopes[i] + slopes[j]).constant();
-                *off = *off * T::select(equal, slope, quotient);
+                *off *= T::select(equal, slope, quotient);
             }
         }
         Self { values, vectors: self.vectors, off }

@@ -37,6 +37,9 @@ pub struct Answer {
     pub state: [f64; MOST_STATES],
 }
 
+/// Cotangents of each particle's inputs, and of the parameters.
+pub type PulledBack = (Vec<Particle>, Vec<f64>);
+
 /// Which of the two updates is called.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Precision {
@@ -334,7 +337,7 @@ impl<'a> Subject<'a> {
         dt: f64,
         particles: &[Particle],
         cotangents: &[Answer],
-    ) -> Result<Option<(Vec<Particle>, Vec<f64>)>, SubjectError> {
+    ) -> Result<Option<PulledBack>, SubjectError> {
         let Some(callback) = self.table.update_adj_f64 else { return Ok(None) };
         let n = particles.len();
         assert_eq!(n, cotangents.len(), "a cotangent for each particle");

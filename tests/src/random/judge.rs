@@ -279,7 +279,7 @@ impl Judge {
             let size = whole.iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
             let apart = whole.iter().flatten().zip(parted.iter().flatten()).map(|(a, b)| (a - b).abs());
             let apart = apart.fold(0.0, |most: f64, x| if x > most || x.is_nan() { x } else { most });
-            if !(apart <= CHAIN * size) {
+            if apart.is_nan() || apart > CHAIN * size {
                 return broken(Rule::Gradient, format!("by {what} it is off by {apart:e} of {size:e}"));
             }
         }
