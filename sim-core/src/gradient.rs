@@ -296,13 +296,9 @@ impl Tape {
         };
         // Where each stretch begins, and the last state of all.
         let mut kept = Vec::new();
-        let see = |i: usize, before: &Before| {
-            if i.is_multiple_of(stretch) || i == self.steps.len() {
-                kept.push(before.clone());
-            }
-        };
+        let wanted = |i: usize| i.is_multiple_of(stretch) || i == self.steps.len();
         let start = Before { particles: self.start.clone(), lagging: None };
-        if self.take_again(start, &self.steps, see, &mut go_on)?.is_break() {
+        if self.take_again(start, &self.steps, wanted, &mut kept, &mut go_on)?.is_break() {
             return Ok(None);
         }
         // A backend that brings strain up to date within a step has done so once more.
@@ -312,12 +308,12 @@ impl Tape {
         }
         for (steps, start) in self.steps.chunks(stretch).zip(kept).rev() {
             let mut within = Vec::with_capacity(steps.len());
-            let see = |_: usize, before: &Before| within.push(before.clone().with_lag());
-            if self.take_again(start, &steps[..steps.len() - 1], see, &mut go_on)?.is_break() {
+            if self.take_again(start, &steps[..steps.len() - 1], |_| true, &mut within, &mut go_on)?.is_break() {
                 return Ok(None);
             }
             for (step, before) in steps.iter().zip(within).rev() {
-                adjoint.step_back(&before, step.time, step.dt, &mut gradient)?;
+                let Before { particles, lagging } = before;
+                adjoint.step_back(lagging.as_ref().unwrap_or(&particles), step.time, step.dt, &mut gradient)?;
                 if go_on().is_break() {
                     return Ok(None);
                 }
@@ -326,30 +322,36 @@ impl Tape {
         Ok(Some(gradient))
     }
 
-    /// Takes steps again from a state, and shows the particles before each of them, and behind the last.
+    /// Takes steps again from a state, and keeps the particles before those that are wanted, by their numbers from 0, and behind the last.
     fn take_again(
         &self,
         start: Before,
         steps: &[Taken],
-        mut see: impl FnMut(usize, &Before),
+        wanted: impl Fn(usize) -> bool,
+        kept: &mut Vec<Before>,
         go_on: &mut dyn FnMut() -> ControlFlow<()>,
     ) -> Result<ControlFlow<()>> {
-        see(0, &start);
         if steps.is_empty() {
+            kept.extend(wanted(0).then_some(start));
             return Ok(ControlFlow::Continue(()));
         }
-        let mut last = start.particles.clone();
-        let mut engine: Box<dyn Engine> = self.forwards.compile(&self.plan, start.particles)?;
+        let mut engine: Box<dyn Engine> = self.forwards.compile(&self.plan, start.particles.clone())?;
+        // The state before the present step, for engines that bring strain up to date within it.
+        let mut last = (start.particles.strain_dt == 0.0).then(|| start.particles.clone());
+        kept.extend(wanted(0).then_some(start));
         for (i, step) in steps.iter().enumerate() {
             let report = engine.step(step.time, step.dt, &mut [])?;
             if report.dt != step.dt {
                 return Err(refused("steps", "one came out shorter when it was taken again", "record them anew"));
             }
-            let now = engine.state();
-            engine.check()?;
-            let lagging = (now.strain_dt == 0.0).then(|| lagging(&now, &last, step.dt));
-            last.clone_from(&now);
-            see(i + 1, &Before { particles: now, lagging });
+            if last.is_some() || wanted(i + 1) {
+                let now = engine.state();
+                engine.check()?;
+                let lags = now.strain_dt == 0.0;
+                let lagging = last.take_if(|_| lags).map(|last| lagging(&now, &last, step.dt));
+                last = lags.then(|| now.clone());
+                kept.extend(wanted(i + 1).then_some(Before { particles: now, lagging }));
+            }
             if go_on().is_break() {
                 return Ok(ControlFlow::Break(()));
             }
@@ -359,19 +361,12 @@ impl Tape {
 }
 
 /// Particles before a step.
-#[derive(Clone)]
 struct Before {
     /// As the engine has them.
     particles: ParticleState,
     /// With strain and history as they were before C, which the step before has found, changed them: if the engine has already done so. Gradients go back through laws at the
     /// beginning of a step.
     lagging: Option<ParticleState>,
-}
-
-impl Before {
-    fn with_lag(self) -> ParticleState {
-        self.lagging.unwrap_or(self.particles)
-    }
 }
 
 /// Particles with strain and history of a step of `dt` before, which C has yet to change.

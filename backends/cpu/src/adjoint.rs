@@ -23,6 +23,9 @@ use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::HashMap;
 
+/// Pieces that share nodes: with fewer, more of these are added up than particles touch.
+const PIECES: usize = 16;
+
 /// Row and column of each plane of a symmetric tensor.
 const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
@@ -66,10 +69,12 @@ impl Nodes {
     }
 
     /// A node by its number.
+    #[inline(always)]
     fn get(&self, node: usize) -> [f64; 4] {
         self.values[node / CELLS][node % CELLS]
     }
 
+    #[inline(always)]
     fn get_mut(&mut self, node: usize) -> &mut [f64; 4] {
         &mut self.values[node / CELLS][node % CELLS]
     }
@@ -107,8 +112,17 @@ struct Place {
     stencil: Stencil,
     /// Numbers of the nodes around it, walls and joined ends seen to.
     nodes: [u32; AROUND],
-    /// Signs of the directions there, where a wall mirrors them.
-    signs: [[f64; 3]; AROUND],
+    /// Which directions a wall mirrors there, a bit each.
+    flipped: [u8; AROUND],
+}
+
+impl Place {
+    /// A node around it, by its number, and a vector there as the wall shows it.
+    #[inline(always)]
+    fn at(&self, n: usize, [x, y, z]: [f64; 3]) -> (u32, [f64; 3]) {
+        let sign = |bit: u8| if self.flipped[n] >> bit & 1 == 1 { -1.0 } else { 1.0 };
+        (self.nodes[n], [sign(0) * x, sign(1) * y, sign(2) * z])
+    }
 }
 
 /// What a law made of a batch, part by part of the step's strain.
@@ -118,16 +132,22 @@ struct Deformed {
     kirchhoff: [Plane<f64, BATCH>; 6],
 }
 
-/// What a piece gave to nodes.
+/// How a piece gave to nodes.
 struct Forward {
     places: Vec<Place>,
-    /// Momentum per cell and particle; see [`CpuAdjoint::momentum`].
+    /// Of each particle; see [`CpuAdjoint::momentum`].
     momentum: Vec<Affine>,
     deformed: Deformed,
+}
+
+/// Pieces that give to the same nodes, of their own.
+struct Group<'a> {
+    pieces: &'a [Piece<'a>],
+    forwards: Vec<Forward>,
     nodes: Nodes,
 }
 
-/// What goes back to the particles of a piece.
+/// What goes back to a particle.
 #[derive(Clone, Default)]
 struct Back {
     position: Vec3,
@@ -186,8 +206,8 @@ impl CpuAdjoint {
             let mut trial = strain.clone();
             for i in 0..BATCH {
                 let G = vel_grad.map(|plane| plane.0[i] * dt);
-                let own: Vec<f64> = strain.iter().map(|plane| plane.0[i]).collect();
-                trial.iter_mut().zip(deformed(&G, &own)).for_each(|(plane, value)| plane.0[i] = value);
+                let own = values(&strain, i);
+                trial.iter_mut().zip(deformed(&G, &own[..strain.len()])).for_each(|(plane, value)| plane.0[i] = value);
             }
             before.push([strain.clone(), trial.clone(), state.clone()]);
             let [_, trial, old] = &before[before.len() - 1];
@@ -250,36 +270,44 @@ impl CpuAdjoint {
             last.0 = blocks;
         }
         let mut place =
-            Place { stencil: Stencil::new(list.offset[p], self.h), nodes: [0; AROUND], signs: [[1.0; 3]; AROUND] };
+            Place { stencil: Stencil::new(list.offset[p], self.h), nodes: [0; AROUND], flipped: [0; AROUND] };
         for n in 0..AROUND {
             let at = [along[0][n / 9], along[1][n / 3 % 3], along[2][n % 3]];
             let [x, y, z] = at.map(|(cell, _)| cell.rem_euclid(block::SIDE) as usize);
             place.nodes[n] = (last.1[n] * CELLS + (4 * x + y) * 4 + z) as u32;
             for (_, flipped) in at {
-                (0..3).filter(|&d| flipped[d]).for_each(|d| place.signs[n][d] *= -1.0);
+                (0..3).for_each(|d| place.flipped[n] ^= u8::from(flipped[d]) << d);
             }
         }
         place
     }
 
     /// P2G of a piece.
-    fn give(&self, piece: &Piece<'_>, step: &Step) -> Result<Forward> {
+    fn give(&self, piece: &Piece<'_>, step: &Step, nodes: &mut Nodes) -> Result<Forward> {
         let (list, deformed) = (piece.list, self.deform(piece, step)?);
-        let (mut nodes, mut places, mut momentum) = (Nodes::default(), Vec::new(), Vec::new());
+        let (mut places, mut momentum) = (Vec::with_capacity(piece.count), Vec::with_capacity(piece.count));
         let mut last = ([[i32::MIN; 3]; 3], [0; AROUND]);
         for i in 0..piece.count {
             let p = piece.first + i;
-            let place = self.place(list, p, &mut nodes, &mut last);
+            let place = self.place(list, p, nodes, &mut last);
             let gives = self.momentum(list, p, deformed.kirchhoff.map(|plane| plane.0[i]), step);
-            place.stencil.scatter(&gives, list.mass[p], |n, given| {
-                let node = nodes.get_mut(place.nodes[n] as usize);
-                (0..3).for_each(|d| node[d] += place.signs[n][d] * given[d]);
-                node[3] += given[3];
+            place.stencil.scatter(&gives, list.mass[p], |n, [x, y, z, m]| {
+                let (node, given) = place.at(n, [x, y, z]);
+                let node = nodes.get_mut(node as usize);
+                (0..3).for_each(|d| node[d] += given[d]);
+                node[3] += m;
             });
             places.push(place);
             momentum.push(gives);
         }
-        Ok(Forward { places, momentum, deformed, nodes })
+        Ok(Forward { places, momentum, deformed })
+    }
+
+    /// P2G of some pieces.
+    fn give_all<'a>(&self, pieces: &'a [Piece<'a>], step: &Step) -> Result<Group<'a>> {
+        let mut nodes = Nodes::default();
+        let forwards = pieces.iter().map(|piece| self.give(piece, step, &mut nodes)).collect::<Result<_>>()?;
+        Ok(Group { pieces, forwards, nodes })
     }
 
     /// Walls that let go act on sums of nodes. Returns what they were before, in the order in which walls acted.
@@ -309,49 +337,65 @@ impl CpuAdjoint {
         pairs
     }
 
-    /// G2P of a piece backwards: what its particles owe to nodes, and to where they read.
+    /// G2P of a group backwards: what its particles owe to nodes, and to where they read.
     fn read_back(
         &self,
-        piece: &Piece<'_>,
-        forward: &Forward,
+        group: &Group<'_>,
         velocities: &Nodes,
         dt: f64,
         gradient: &Gradient,
-    ) -> (Nodes, Vec<Back>) {
-        let to_all = velocities.numbers_of(&forward.nodes);
-        let mut owed = forward.nodes.cleared();
-        let mut backs = Vec::with_capacity(piece.count);
-        for (place, &number) in forward.places.iter().zip(piece.number) {
-            let after = &gradient.particles;
-            let number = number as usize;
-            let position = after.position[number];
-            // What the new velocity does to the loss by itself, and by the move.
-            let at = std::array::from_fn(|d| after.velocity[number][d] + dt * position[d]);
-            let cotangent = Affine { at, rows: after.affine[number] };
-            let velocity = |n: usize| {
-                let u = velocities.get(to_all(place.nodes[n]));
-                std::array::from_fn(|d| place.signs[n][d] * u[d])
-            };
-            let moved = place.stencil.gather_back(self.h, &cotangent, velocity, |n, given| {
-                let node = owed.get_mut(place.nodes[n] as usize);
-                (0..3).for_each(|d| node[d] += place.signs[n][d] * given[d]);
-            });
-            backs.push(Back { position: std::array::from_fn(|d| position[d] + moved[d]), ..Back::default() });
-        }
+    ) -> (Nodes, Vec<Vec<Back>>) {
+        let to_all = velocities.numbers_of(&group.nodes);
+        let mut owed = group.nodes.cleared();
+        let of_piece = |(piece, forward): (&Piece<'_>, &Forward)| {
+            let places = forward.places.iter().zip(piece.number);
+            places
+                .map(|(place, number)| {
+                    self.read_one(place, *number as usize, (velocities, &to_all), dt, gradient, &mut owed)
+                })
+                .collect()
+        };
+        let backs = group.pieces.iter().zip(&group.forwards).map(of_piece).collect();
         (owed, backs)
+    }
+
+    /// The same of one particle.
+    fn read_one(
+        &self,
+        place: &Place,
+        number: usize,
+        (velocities, to_all): (&Nodes, &impl Fn(u32) -> usize),
+        dt: f64,
+        gradient: &Gradient,
+        owed: &mut Nodes,
+    ) -> Back {
+        let after = &gradient.particles;
+        let position = after.position[number];
+        // What the new velocity does to the loss by itself, and by the move.
+        let at = std::array::from_fn(|d| after.velocity[number][d] + dt * position[d]);
+        let cotangent = Affine { at, rows: after.affine[number] };
+        let velocity = |n: usize| {
+            let [x, y, z, _] = velocities.get(to_all(place.nodes[n]));
+            place.at(n, [x, y, z]).1
+        };
+        let moved = place.stencil.gather_back(self.h, &cotangent, velocity, |n, given| {
+            let (node, given) = place.at(n, given);
+            let node = owed.get_mut(node as usize);
+            (0..3).for_each(|d| node[d] += given[d]);
+        });
+        Back { position: std::array::from_fn(|d| position[d] + moved[d]), ..Back::default() }
     }
 
     /// P2G of a piece backwards, and the law: `backs` gets what is missing. Returns what is owed to the law's parameters and to gravity.
     fn give_back(
         &self,
-        piece: &Piece<'_>,
-        forward: &Forward,
-        owed: &Nodes,
+        (piece, forward): (&Piece<'_>, &Forward),
+        (owed, to_all): (&Nodes, &impl Fn(u32) -> usize),
         step: &Step,
         gradient: &Gradient,
-        backs: &mut [Back],
-    ) -> Result<(Vec<f64>, Vec3)> {
-        let (list, to_all) = (piece.list, owed.numbers_of(&forward.nodes));
+        mut backs: Vec<Back>,
+    ) -> Result<Given> {
+        let list = piece.list;
         let mut gravity = [0.0; 3];
         let mut kirchhoff = [Plane::<f64, BATCH>::default(); 6];
         for (i, back) in backs.iter_mut().enumerate() {
@@ -359,8 +403,8 @@ impl CpuAdjoint {
             let mass = list.mass[p];
             let (of, _, moved) = place.stencil.scatter_back(self.h, &forward.momentum[i], mass, |n| {
                 let [x, y, z, m] = owed.get(to_all(place.nodes[n]));
-                let [a, b, c] = place.signs[n];
-                [a * x, b * y, c * z, m]
+                let (_, [x, y, z]) = place.at(n, [x, y, z]);
+                [x, y, z, m]
             });
             for d in 0..3 {
                 back.position[d] += moved[d];
@@ -374,8 +418,8 @@ impl CpuAdjoint {
                 plane.0[i] = stress * (of.rows[3 * row + column] + other);
             }
         }
-        let parameters = self.deform_back(piece, &forward.deformed, step, gradient, kirchhoff, backs)?;
-        Ok((parameters, gravity))
+        let parameters = self.deform_back(piece, &forward.deformed, step, gradient, kirchhoff, &mut backs)?;
+        Ok(Given { backs, parameters, gravity })
     }
 
     /// The law and the strain of a piece backwards. Returns what is owed to the law's parameters.
@@ -419,10 +463,9 @@ impl CpuAdjoint {
             error.check(status, &planned.material, "update_adj_f64", |i| piece.id(i))?;
             for (i, back) in backs.iter_mut().enumerate() {
                 let G = vel_grad.map(|plane| plane.0[i] * dt);
-                let [own, owed]: [Vec<f64>; 2] =
-                    [before, &of_trial].map(|all| all.iter().map(|plane| plane.0[i]).collect());
+                let (own, owed) = (values(before, i), values(&of_trial, i));
                 let mut of_G = [0.0; 9];
-                let of_strain = deformed_back(&G, &own, &owed, &mut of_G);
+                let of_strain = deformed_back(&G, &own[..planes], &owed[..planes], &mut of_G);
                 for c in 0..9 {
                     back.affine[c] += dt * of_G[c] + of_rates[c].0[i];
                 }
@@ -490,9 +533,10 @@ impl CpuAdjoint {
     fn back(&self, before: &ParticleState, step: &Step, gradient: &mut Gradient) -> Result<()> {
         let numbers = numbers(before);
         let pieces = pieces(before, &numbers);
-        let forwards: Vec<Forward> = pieces.par_iter().map(|piece| self.give(piece, step)).collect::<Result<_>>()?;
+        let groups: Vec<Group<'_>> =
+            pieces.par_chunks(PIECES).map(|pieces| self.give_all(pieces, step)).collect::<Result<_>>()?;
         let mut sums = Nodes::default();
-        forwards.iter().for_each(|forward| sums.add(&forward.nodes));
+        groups.iter().for_each(|group| sums.add(&group.nodes));
         let pairs = self.separate(&mut sums);
         let masses = before.lists.iter().flat_map(|list| &list.mass);
         let least = masses.fold(f64::INFINITY, |least, mass| least.min(*mass)) * LEAST_MASS;
@@ -507,25 +551,30 @@ impl CpuAdjoint {
             let (image, _) = separation.unfold(&velocities.get(pair.node), pair.presses, 0.0);
             *velocities.get_mut(pair.image) = [image[0], image[1], image[2], 0.0];
         }
-        let read: Vec<(Nodes, Vec<Back>)> = pieces
-            .par_iter()
-            .zip(&forwards)
-            .map(|(piece, forward)| self.read_back(piece, forward, &velocities, step.dt, gradient))
-            .collect();
+        let read: Vec<(Nodes, Vec<Vec<Back>>)> =
+            groups.par_iter().map(|group| self.read_back(group, &velocities, step.dt, gradient)).collect();
         let (mut owed, mut backs) = (sums.cleared(), Vec::with_capacity(read.len()));
         for (nodes, back) in read {
             owed.add(&nodes);
             backs.push(back);
         }
         self.sums_back(&velocities, &sums, &pairs, &mut owed);
-        let one = |((piece, forward), mut backs): ((&Piece<'_>, &Forward), Vec<Back>)| {
-            let (parameters, gravity) = self.give_back(piece, forward, &owed, step, gradient, &mut backs)?;
-            Ok(Given { backs, parameters, gravity })
+        let one = |(group, backs): (&Group<'_>, Vec<Vec<Back>>)| {
+            let to_all = owed.numbers_of(&group.nodes);
+            let each = group.pieces.iter().zip(&group.forwards).zip(backs);
+            each.map(|(piece, backs)| self.give_back(piece, (&owed, &to_all), step, gradient, backs)).collect()
         };
-        let given: Vec<_> = pieces.par_iter().zip(&forwards).zip(backs).map(one).collect::<Result<_>>()?;
-        take_in(gradient, &pieces, given);
+        let given: Vec<Vec<Given>> = groups.par_iter().zip(backs).map(one).collect::<Result<_>>()?;
+        take_in(gradient, &pieces, given.into_iter().flatten());
         Ok(())
     }
+}
+
+/// A particle's values of up to nine planes.
+fn values(planes: &[Plane<f64, BATCH>], i: usize) -> [f64; 9] {
+    let mut values = [0.0; 9];
+    values.iter_mut().zip(planes).for_each(|(value, plane)| *value = plane.0[i]);
+    values
 }
 
 /// The particles of all lists, in pieces.
@@ -538,7 +587,7 @@ fn pieces<'a>(particles: &'a ParticleState, numbers: &'a [Vec<u32>]) -> Vec<Piec
 }
 
 /// What goes back to particles, parameters and gravity, piece by piece.
-fn take_in(gradient: &mut Gradient, pieces: &[Piece<'_>], given: Vec<Given>) {
+fn take_in(gradient: &mut Gradient, pieces: &[Piece<'_>], given: impl IntoIterator<Item = Given>) {
     for (piece, Given { backs, parameters, gravity }) in pieces.iter().zip(given) {
         let sums = &mut gradient.parameters[piece.list.material as usize];
         sums.iter_mut().zip(parameters).for_each(|(sum, own)| *sum += own);

@@ -19,7 +19,7 @@ pub struct Stencil {
     first: [f64; 3],
 }
 
-/// A particle's velocity [m/s], and another quantity A by which what it has grows with the distance from it.
+/// A quantity of a particle that grows along each axis with the distance from it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Affine {
     /// At the particle.
@@ -28,11 +28,16 @@ pub struct Affine {
     pub rows: [f64; 9],
 }
 
-impl Affine {
-    /// What it comes to at a distance.
-    fn seen_from(&self, by: [f64; 3]) -> [f64; 3] {
-        std::array::from_fn(|i| self.at[i] + (0..3).map(|j| self.rows[3 * i + j] * by[j]).sum::<f64>())
-    }
+/// One of the nodes around a particle, as this sees it.
+#[derive(Clone, Copy)]
+struct Seen {
+    /// Its weight, and the weight's derivative by the particle's place [1/m].
+    weight: f64,
+    slope: [f64; 3],
+    /// The way to it [cells].
+    way: [f64; 3],
+    /// What an affine quantity comes to there.
+    value: [f64; 3],
 }
 
 impl Stencil {
@@ -45,25 +50,43 @@ impl Stencil {
         }
     }
 
-    /// Weight of a node, the weight's derivative by the particle's place [1/m], and the way to the node [cells].
-    fn of_node(&self, n: usize) -> (f64, [f64; 3], [f64; 3]) {
-        let at = [n / 9, n / 3 % 3, n % 3];
-        let [x, y, z]: [f64; 3] = std::array::from_fn(|d| self.weights[d][at[d]]);
-        let slope: [f64; 3] = std::array::from_fn(|d| self.slopes[d][at[d]]);
-        let way = std::array::from_fn(|d| self.first[d] + at[d] as f64);
-        (x * y * z, [slope[0] * y * z, x * slope[1] * z, x * y * slope[2]], way)
-    }
-
-    /// P2G: gives each node around the particle momentum and mass, of `momentum` that grows by so much a cell, and `mass`.
-    pub fn scatter(&self, momentum: &Affine, mass: f64, mut give: impl FnMut(usize, [f64; 4])) {
-        for n in 0..AROUND {
-            let (w, _, way) = self.of_node(n);
-            let [x, y, z] = momentum.seen_from(way).map(|p| w * p);
-            give(n, [x, y, z, w * mass]);
+    /// Shows the nodes around the particle, z fastest, and what an affine quantity of it comes to there.
+    #[inline(always)]
+    fn each(&self, quantity: &Affine, mut see: impl FnMut(usize, Seen)) {
+        let [x, y, z] = self.weights;
+        let [dx, dy, dz] = self.slopes;
+        let way = |d: usize, i: usize| self.first[d] + i as f64;
+        let grown = |from: [f64; 3], d: usize, i: usize| -> [f64; 3] {
+            [0, 1, 2].map(|c| from[c] + quantity.rows[3 * c + d] * way(d, i))
+        };
+        for i in 0..3 {
+            let of_x = grown(quantity.at, 0, i);
+            for j in 0..3 {
+                let (xy, of_xy) = (x[i] * y[j], grown(of_x, 1, j));
+                let (slope_x, slope_y) = (dx[i] * y[j], x[i] * dy[j]);
+                for k in 0..3 {
+                    let seen = Seen {
+                        weight: xy * z[k],
+                        slope: [slope_x * z[k], slope_y * z[k], xy * dz[k]],
+                        way: [way(0, i), way(1, j), way(2, k)],
+                        value: grown(of_xy, 2, k),
+                    };
+                    see(9 * i + 3 * j + k, seen);
+                }
+            }
         }
     }
 
+    /// P2G: gives each node around the particle momentum and mass, of `momentum` that grows by so much a cell, and `mass`.
+    #[inline(always)]
+    pub fn scatter(&self, momentum: &Affine, mass: f64, mut give: impl FnMut(usize, [f64; 4])) {
+        self.each(momentum, |n, Seen { weight, value: [x, y, z], .. }| {
+            give(n, [weight * x, weight * y, weight * z, weight * mass]);
+        });
+    }
+
     /// The adjoint of [`scatter`](Self::scatter): from cotangents of the nodes' momentum and mass to those of `momentum` and `mass`, and of the particle's place [1/m].
+    #[inline(always)]
     pub fn scatter_back(
         &self,
         h: f64,
@@ -72,27 +95,27 @@ impl Stencil {
         cotangent: impl Fn(usize) -> [f64; 4],
     ) -> (Affine, f64, [f64; 3]) {
         let (mut back, mut of_mass, mut place) = (Affine::default(), 0.0, [0.0; 3]);
-        for n in 0..AROUND {
-            let (w, slope, way) = self.of_node(n);
+        self.each(momentum, |n, Seen { weight, slope, way, value }| {
             let [x, y, z, m] = cotangent(n);
-            let p = [x, y, z];
-            let seen = momentum.seen_from(way);
-            let owed = (0..3).map(|d| p[d] * seen[d]).sum::<f64>() + m * mass;
+            let owed = x * value[0] + y * value[1] + z * value[2] + m * mass;
+            let weighed = [weight * x, weight * y, weight * z];
             for i in 0..3 {
-                back.at[i] += w * p[i];
-                for j in 0..3 {
-                    back.rows[3 * i + j] += w * p[i] * way[j];
-                    place[j] -= w * p[i] * momentum.rows[3 * i + j] / h;
-                }
+                back.at[i] += weighed[i];
+                (0..3).for_each(|j| back.rows[3 * i + j] += weighed[i] * way[j]);
                 place[i] += slope[i] * owed;
             }
-            of_mass += w * m;
+            of_mass += weight * m;
+        });
+        // The way to a node becomes shorter as the particle moves there.
+        for j in 0..3 {
+            place[j] -= (0..3).map(|i| back.at[i] * momentum.rows[3 * i + j]).sum::<f64>() / h;
         }
         (back, of_mass, place)
     }
 
     /// The adjoint of G2P: from cotangents of a particle's new velocity and of its new C to those of the nodes' velocities, which go to `give`, and of the place at which
     /// it reads these, `velocity` [1/m].
+    #[inline(always)]
     pub fn gather_back(
         &self,
         h: f64,
@@ -102,17 +125,18 @@ impl Stencil {
     ) -> [f64; 3] {
         // C = 4/h Σ w u (way)ᵀ.
         let per_cell = Affine { at: cotangent.at, rows: cotangent.rows.map(|c| 4.0 / h * c) };
-        let mut place = [0.0; 3];
-        for n in 0..AROUND {
-            let (w, slope, way) = self.of_node(n);
+        let (mut place, mut read) = ([0.0; 3], [0.0; 3]);
+        self.each(&per_cell, |n, Seen { weight, slope, value, .. }| {
             let u = velocity(n);
-            let seen = per_cell.seen_from(way);
-            give(n, seen.map(|s| w * s));
-            let owed: f64 = (0..3).map(|d| u[d] * seen[d]).sum();
-            for j in 0..3 {
-                place[j] += slope[j] * owed;
-                place[j] -= (0..3).map(|i| w * u[i] * per_cell.rows[3 * i + j] / h).sum::<f64>();
+            give(n, [weight * value[0], weight * value[1], weight * value[2]]);
+            let owed = u[0] * value[0] + u[1] * value[1] + u[2] * value[2];
+            for d in 0..3 {
+                place[d] += slope[d] * owed;
+                read[d] += weight * u[d];
             }
+        });
+        for j in 0..3 {
+            place[j] -= (0..3).map(|i| read[i] * per_cell.rows[3 * i + j]).sum::<f64>() / h;
         }
         place
     }
@@ -201,14 +225,13 @@ mod tests {
         let loss = |x: [f64; 1]| {
             let stencil = Stencil::new(std::array::from_fn(|d| f[d] + x[0] * way[d] / h), h);
             let mut read = Affine::default();
-            for n in 0..AROUND {
-                let (w, _, way) = stencil.of_node(n);
+            stencil.each(&Affine::default(), |n, Seen { weight, way, .. }| {
                 for i in 0..3 {
                     let u = velocities[n][i] + x[0] * changes[n][i];
-                    read.at[i] += w * u;
-                    (0..3).for_each(|j| read.rows[3 * i + j] += 4.0 / h * w * u * way[j]);
+                    read.at[i] += weight * u;
+                    (0..3).for_each(|j| read.rows[3 * i + j] += 4.0 / h * weight * u * way[j]);
                 }
-            }
+            });
             dot(&read.at, &cotangent.at) + dot(&read.rows, &cotangent.rows)
         };
         let mut owed = 0.0;
