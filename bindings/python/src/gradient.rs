@@ -90,7 +90,7 @@ impl Tape {
     /// each particle in the order of `end`: by `position` [1/m] and by `velocity` [s/m]. What is left out is zero. `then` is the gradient of the tape that follows on this one, if the loss looks
     /// further.
     ///
-    /// It takes all steps twice again, and goes back through each, which takes several times as long as a step. Ctrl-C ends it.
+    /// It takes all steps twice again, and goes back through each, which takes some fifty times as long as a step. Ctrl-C ends it.
     ///
     /// Raises `BodyError` if a derivative is not finite, `SimulationError` if one of a law is not.
     #[pyo3(signature = (*, position=None, velocity=None, then=None))]

@@ -401,7 +401,7 @@ pub use barchan_core::{Cotangents, Gradient, Tape};
 /// What carries a plan out. `tests/seams/backend` of the repository is one of somebody's own.
 ///
 /// ```
-/// use barchan::{Backend, Engine, Options, Plan, StepReport};
+/// use barchan::{Adjoint, Backend, Engine, Options, Plan, StepReport};
 ///
 /// let registry = barchan::registry();
 /// let (plan, particles, mut couplings) = Plan::assemble(&registry, &barchan::example(), &Options::default())?;
@@ -409,6 +409,8 @@ pub use barchan_core::{Cotangents, Gradient, Tape};
 /// let mut engine: Box<dyn Engine> = backend.compile(&plan, particles)?;
 /// let report: StepReport = engine.step(0.0, plan.dt, &mut couplings)?;
 /// assert!(report.dt > 0.0 && report.dt <= engine.bound().dt);
+/// // What goes back through steps, if the backend has adjoint forms of their stages.
+/// let _backwards: Box<dyn Adjoint> = backend.adjoint(&plan)?;
 /// # Ok::<(), barchan::Error>(())
 /// ```
 #[doc(inline)]
