@@ -208,7 +208,7 @@ fn ahead<W>(start: *const W, planes: usize, p: usize) {
 }
 
 /// Row and column of each plane of a symmetric tensor.
-const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+pub const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
 
 /// b* = (I + G) b (I + G)ᵀ for symmetric b (xx yy zz xy xz yz) and G = dt C row by row.
 #[inline(always)]

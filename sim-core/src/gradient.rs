@@ -24,6 +24,8 @@ pub struct Cotangents {
     pub strain: Vec<[f64; 9]>,
     /// By the law's history variables.
     pub state: Vec<[f64; MOST_STATES]>,
+    /// Are strain and history those that C has [yet to change](ParticleState::strain_dt)?
+    pub lags: bool,
 }
 
 impl Cotangents {
@@ -35,6 +37,7 @@ impl Cotangents {
             affine: vec![[0.0; 9]; particles],
             strain: vec![[0.0; 9]; particles],
             state: vec![[0.0; MOST_STATES]; particles],
+            lags: false,
         }
     }
 
@@ -62,8 +65,16 @@ pub struct Gradient {
 /// Where particles are and how fast, in the order of their numbers.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Moment {
+    /// When [s].
+    pub time: f64,
     /// Numbers.
     pub id: Vec<u64>,
+    /// Numbers of the scene's bodies that they were seeded for.
+    pub body: Vec<u16>,
+    /// Numbers of their materials, in the plan's order.
+    pub material: Vec<u16>,
+    /// Masses [kg].
+    pub mass: Vec<f64>,
     /// Positions [m].
     pub position: Vec<Vec3>,
     /// Velocities [m/s].
@@ -109,11 +120,14 @@ pub fn by_number(particles: &ParticleState) -> Vec<(usize, usize)> {
     all
 }
 
-fn moment(particles: &ParticleState) -> Moment {
-    let mut moment = Moment::default();
+fn moment(particles: &ParticleState, time: f64) -> Moment {
+    let mut moment = Moment { time, ..Moment::default() };
     for (l, i) in by_number(particles) {
         let list = &particles.lists[l];
         moment.id.push(list.id[i]);
+        moment.body.push(list.body[i]);
+        moment.material.push(list.material as u16);
+        moment.mass.push(list.mass[i]);
         moment.position.push(list.position(i));
         moment.velocity.push(list.velocity[i]);
     }
@@ -162,6 +176,14 @@ fn check(plan: &Plan, backwards: &dyn Backend) -> Result<()> {
                 mend: "supply it (laws that are written with the kit have it), or use another law".to_owned(),
             });
         }
+        if planned.material.states.len() > MOST_STATES {
+            return Err(Error::Capacity {
+                what: "history variables of a law that gradients go through",
+                asked: planned.material.states.len() as u64,
+                cap: MOST_STATES as u64,
+                mend: "declare fewer",
+            });
+        }
         if planned.damping.is_some() {
             return Err(refused("material.damping", "damping has no adjoint yet", "leave it out"));
         }
@@ -201,15 +223,16 @@ impl Simulation {
         let plan = self.plan_shared();
         let own = Arc::clone(registry.backend(self.backend())?);
         let stages = plan.schedule.stages();
-        let has_all = |backend: &Arc<dyn Backend>| stages.iter().all(|stage| backend.has_form(*stage, Form::Adjoint));
-        let default = Arc::clone(registry.backend(&Options::default().backend)?);
-        let backwards = if has_all(&own) { Arc::clone(&own) } else { default };
+        let has_all = stages.iter().all(|stage| own.has_form(*stage, Form::Adjoint));
+        let backwards = if has_all { &own } else { registry.backend(&Options::default().backend)? };
+        let backwards = Arc::clone(backwards);
         check(&plan, &*backwards)?;
         let start = self.engine().state();
         self.engine().check()?;
         let mut lost = self.lost();
         let mut steps = Vec::new();
         let mut time = self.time();
+        let began = time;
         let reached = self.advance(until, |simulation, report| {
             steps.push(Taken { time, dt: report.dt });
             time = simulation.time();
@@ -221,7 +244,7 @@ impl Simulation {
         let end = self.particles();
         self.engine().check()?;
         lost = self.lost() - lost;
-        let moments = [moment(&start), moment(&end)];
+        let moments = [moment(&start, began), moment(&end, self.time())];
         if lost > 0 || moments[0].id != moments[1].id {
             return Err(refused(
                 "world.leaving",
@@ -245,6 +268,10 @@ impl Tape {
     /// What is simulated.
     pub fn plan(&self) -> &Plan {
         &self.plan
+    }
+    /// Lengths of its steps [s].
+    pub fn lengths(&self) -> Vec<f64> {
+        self.steps.iter().map(|step| step.dt).collect()
     }
     /// The particles at its start.
     pub fn start(&self) -> &Moment {
@@ -272,7 +299,8 @@ impl Tape {
     /// As [`pull_back`](Self::pull_back).
     pub fn pull_back_while(&self, cotangents: Cotangents, on_step: &mut OnStep<'_>) -> Result<Option<Gradient>> {
         let particles = self.moments[0].id.len();
-        let Cotangents { position, velocity, affine, strain, state } = &cotangents;
+        let Cotangents { position, velocity, affine, strain, state, lags } = &cotangents;
+        let lags = *lags;
         if [position.len(), velocity.len(), affine.len(), strain.len(), state.len()] != [particles; 5] {
             let what = format!("{} cotangents of {particles} particles", position.len());
             return Err(refused("cotangents", &what, "give one for each particle, in the order of their numbers"));
@@ -301,10 +329,11 @@ impl Tape {
         if self.take_again(start, &self.steps, wanted, &mut kept, &mut go_on)?.is_break() {
             return Ok(None);
         }
-        // A backend that brings strain up to date within a step has done so once more.
-        if let Some(lagging) = kept.pop().and_then(|end| end.lagging) {
-            let time = self.steps.last().map_or(0.0, |step| step.time + step.dt);
-            adjoint.step_back(&lagging, time, 0.0, &mut gradient)?;
+        // A backend that brings strain up to date within a step has done so once more, and one that takes over from one that does not does so first.
+        let end = kept.pop().map(|end| (end.particles.strain_dt > 0.0 && !lags, end));
+        let carried = end.and_then(|(taken_over, end)| end.lagging.or(taken_over.then_some(end.particles)));
+        if let Some(before) = carried {
+            adjoint.step_back(&before, self.moments[1].time, 0.0, &mut gradient)?;
         }
         for (steps, start) in self.steps.chunks(stretch).zip(kept).rev() {
             let mut within = Vec::with_capacity(steps.len());
@@ -319,6 +348,7 @@ impl Tape {
                 }
             }
         }
+        gradient.particles.lags = self.start.strain_dt > 0.0;
         Ok(Some(gradient))
     }
 

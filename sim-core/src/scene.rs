@@ -191,8 +191,13 @@ impl Scene {
 
     /// Mean gravity over a step that starts at `time` [m/s²].
     pub fn gravity_at(&self, time: f64) -> Vec3 {
-        let grown = if self.gravity_grows(time) { time / self.gravity_ramp } else { 1.0 };
+        let grown = self.grown_gravity(time);
         self.gravity.map(|g| g * grown)
+    }
+
+    /// How much of gravity is there in that step.
+    pub fn grown_gravity(&self, time: f64) -> f64 {
+        if self.gravity_grows(time) { time / self.gravity_ramp } else { 1.0 }
     }
 
     /// Is a time [s] before that at which all of gravity is there?

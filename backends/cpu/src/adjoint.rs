@@ -18,7 +18,7 @@ use barchan_grid::block::{self, CELLS};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::limits::{LEAST_MASS, MAX_DEFORMATION};
 use barchan_grid::transfer::adjoint::{AROUND, Affine, Stencil, deformed_back};
-use barchan_grid::transfer::deformed;
+use barchan_grid::transfer::{ENTRIES, deformed};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -26,8 +26,8 @@ use std::collections::HashMap;
 /// Pieces that share nodes: with fewer, more of these are added up than particles touch.
 const PIECES: usize = 16;
 
-/// Row and column of each plane of a symmetric tensor.
-const ENTRIES: [(usize, usize); 6] = [(0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2)];
+/// Why a law has the callback that it is asked by.
+const ASKED: &str = "whoever records steps has refused laws without it";
 
 /// Goes back through the steps of a plan.
 pub(crate) struct CpuAdjoint {
@@ -169,6 +169,8 @@ struct Given {
 struct Step {
     dt: f64,
     gravity: Vec3,
+    /// How much of the scene's gravity that is.
+    grown: f64,
     /// The step over which C has yet to change the strain [s], and in how many parts.
     strain_dt: f64,
     parts: u32,
@@ -215,7 +217,7 @@ impl CpuAdjoint {
             let motion = Motion { dt, vel_grad: &vel_grad };
             let answer = Answer { strain: &mut strain, kirchhoff: &mut kirchhoff, state: &mut state };
             let mut error = ErrorBuffer::default();
-            let status = planned.material.update(&matter, Some(motion), answer, &mut error).unwrap_or_default();
+            let status = planned.material.update(&matter, Some(motion), answer, &mut error).expect(ASKED);
             error.check(status, &planned.material, "update_f64", |i| piece.id(i))?;
         }
         Ok(Deformed { before, kirchhoff })
@@ -401,7 +403,7 @@ impl CpuAdjoint {
         for (i, back) in backs.iter_mut().enumerate() {
             let (p, place) = (piece.first + i, &forward.places[i]);
             let mass = list.mass[p];
-            let (of, _, moved) = place.stencil.scatter_back(self.h, &forward.momentum[i], mass, |n| {
+            let (of, moved) = place.stencil.scatter_back(self.h, &forward.momentum[i], mass, |n| {
                 let [x, y, z, m] = owed.get(to_all(place.nodes[n]));
                 let (_, [x, y, z]) = place.at(n, [x, y, z]);
                 [x, y, z, m]
@@ -409,7 +411,7 @@ impl CpuAdjoint {
             for d in 0..3 {
                 back.position[d] += moved[d];
                 back.velocity[d] += mass * of.at[d];
-                gravity[d] += mass * step.dt * of.at[d];
+                gravity[d] += mass * step.dt * step.grown * of.at[d];
             }
             back.affine = of.rows.map(|a| mass * self.h * a);
             let stress = -4.0 * step.dt / self.h * list.volume0[p];
@@ -459,7 +461,7 @@ impl CpuAdjoint {
             };
             let mut error = ErrorBuffer::default();
             let motion = Motion { dt, vel_grad: &vel_grad };
-            let status = planned.material.pull_back(&matter, motion, owed, &mut error).unwrap_or_default();
+            let status = planned.material.pull_back(&matter, motion, owed, &mut error).expect(ASKED);
             error.check(status, &planned.material, "update_adj_f64", |i| piece.id(i))?;
             for (i, back) in backs.iter_mut().enumerate() {
                 let G = vel_grad.map(|plane| plane.0[i] * dt);
@@ -638,7 +640,8 @@ impl Adjoint for CpuAdjoint {
         let rates = before.lists.iter().flat_map(|list| &list.affine);
         let fastest = rates.map(|c| c.iter().map(|x| x * x).sum::<f64>()).fold(0.0, f64::max).sqrt();
         let parts = (fastest * before.strain_dt / MAX_DEFORMATION).ceil().max(1.0) as u32;
-        let step = Step { dt, gravity: self.scene.gravity_at(time), strain_dt: before.strain_dt, parts };
+        let (gravity, grown) = (self.scene.gravity_at(time), self.scene.grown_gravity(time));
+        let step = Step { dt, gravity, grown, strain_dt: before.strain_dt, parts };
         self.pool.install(|| match dt == 0.0 {
             true => self.carry_back(before, &step, gradient),
             false => self.back(before, &step, gradient),

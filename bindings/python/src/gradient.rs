@@ -66,6 +66,9 @@ fn cotangent(given: Option<&Numbers<'_>>, what: &str, to: &mut [Vec3]) -> PyResu
 fn moment<'py>(py: Python<'py>, moment: &Moment) -> PyResult<Bound<'py, PyAny>> {
     let fields = [
         ("id", records::vector(py, moment.id.clone())),
+        ("body", records::vector(py, moment.body.clone())),
+        ("material", records::vector(py, moment.material.clone())),
+        ("mass", records::vector(py, moment.mass.clone())),
         ("position", records::rows(py, moment.position.clone())?),
         ("velocity", records::rows(py, moment.velocity.clone())?),
     ];
@@ -74,7 +77,7 @@ fn moment<'py>(py: Python<'py>, moment: &Moment) -> PyResult<Bound<'py, PyAny>> 
 
 #[pymethods]
 impl Tape {
-    /// The particles at its start: `id`, `position` [m] and `velocity` [m/s] of a `Particles` record.
+    /// The particles at its start: `id`, `body`, `material`, `mass` [kg], `position` [m] and `velocity` [m/s] of a `Particles` record.
     #[getter]
     fn start<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         moment(py, self.tape.start())
@@ -84,6 +87,12 @@ impl Tape {
     #[getter]
     fn end<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         moment(py, self.tape.end())
+    }
+
+    /// Lengths of its steps [s], (len,).
+    #[getter]
+    fn dt<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
+        PyArray1::from_vec(py, self.tape.lengths())
     }
 
     /// What a loss owes to what was at the start and throughout: a `Gradient`. Its derivatives by the particles at the end are given, as arrays of the shape (n, 3), one row for
@@ -105,27 +114,30 @@ impl Tape {
         if position.is_none() && velocity.is_none() && then.is_none() {
             return Err(PyTypeError::new_err("it is not said what the loss owes to; give position, velocity or then"));
         }
-        let mut cotangents = match then {
-            Some(then) => then.get().gradient.particles.clone(),
+        let mut cotangents = match then.map(Bound::get) {
+            Some(then) if then.start != *self.tape.end() => {
+                return Err(PyValueError::new_err(
+                    "then: it is a gradient by other particles than those at the end of this tape, or by these at another time; record one tape behind the other",
+                ));
+            }
+            Some(then) => then.gradient.particles.clone(),
             None => Cotangents::zero(particles),
         };
-        if cotangents.len() != particles {
-            return Err(PyValueError::new_err(format!(
-                "then: it is a gradient of {} particles, and here are {particles}",
-                cotangents.len()
-            )));
-        }
         cotangent(position.as_ref(), "position", &mut cotangents.position)?;
         cotangent(velocity.as_ref(), "velocity", &mut cotangents.velocity)?;
         let mut signals = Signals::new();
         let gradient = py.detach(|| self.tape.pull_back_while(cotangents, &mut |_| signals.look())).or_raise(py)?;
         signals.raised()?;
         let gradient = gradient.expect("only a signal breaks it off");
-        let own = named(self.tape.plan(), &gradient.parameters);
-        Ok(match then {
-            Some(then) => Gradient::after(gradient, own, then.get()),
-            None => Gradient { gradient, parameters: own },
-        })
+        let mut gradient = Gradient {
+            parameters: named(self.tape.plan(), &gradient.parameters),
+            start: self.tape.start().clone(),
+            gradient,
+        };
+        if let Some(then) = then {
+            gradient.add(then.get());
+        }
+        Ok(gradient)
     }
 
     fn __len__(&self) -> usize {
@@ -156,16 +168,17 @@ fn named(plan: &Plan, parameters: &[Vec<f64>]) -> Named {
 pub(crate) struct Gradient {
     gradient: barchan::Gradient,
     parameters: Named,
+    /// What the particles were that it is by.
+    start: Moment,
 }
 
 impl Gradient {
-    /// With what a tape that follows owes to what is the same throughout.
-    fn after(mut gradient: barchan::Gradient, mut parameters: Named, then: &Self) -> Self {
-        (0..3).for_each(|d| gradient.gravity[d] += then.gradient.gravity[d]);
-        for ((_, own), (_, other)) in parameters.iter_mut().zip(&then.parameters) {
+    /// Adds what a tape that follows owes to what is the same throughout.
+    fn add(&mut self, then: &Self) {
+        (0..3).for_each(|d| self.gradient.gravity[d] += then.gradient.gravity[d]);
+        for ((_, own), (_, other)) in self.parameters.iter_mut().zip(&then.parameters) {
             own.iter_mut().zip(other).for_each(|((_, sum), (_, more))| *sum += more);
         }
-        Self { gradient, parameters }
     }
 }
 
@@ -183,7 +196,13 @@ impl Gradient {
         records::rows(py, self.gradient.particles.velocity.clone())
     }
 
-    /// By gravity [s²/m], (3,).
+    /// By their affine matrices C, row by row [s], (n, 9): a body that spins starts with one, besides the velocities.
+    #[getter]
+    fn affine<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
+        records::rows(py, self.gradient.particles.affine.clone())
+    }
+
+    /// By the scene's gravity [s²/m], (3,).
     #[getter]
     fn gravity<'py>(&self, py: Python<'py>) -> Bound<'py, PyArray1<f64>> {
         PyArray1::from_slice(py, &self.gradient.gravity)

@@ -224,7 +224,8 @@ impl Simulation {
     ///
     /// Gradients go through every law, walls, and one level of cells; `precision="f64"` makes them as exact as they can be. Ctrl-C ends it, without a tape.
     ///
-    /// Raises `PluginError` for what has no adjoint yet, by name (tools, robots, nested levels, sleep), `BodyError` if particles left the world on the way, else as `step`.
+    /// Raises `PluginError` for what has no adjoint yet, by name (tools, robots, nested levels, sleep), `BodyError` for damping, sources and sinks, and if particles left the world on the way;
+    /// else as `step`.
     #[pyo3(signature = (seconds, *, world=0))]
     fn record(&self, py: Python<'_>, seconds: f64, world: usize) -> PyResult<Tape> {
         if !(seconds > 0.0 && seconds.is_finite()) {

@@ -34,6 +34,8 @@ def test_a_gradient_is_the_derivative_by_a_parameter():
     tape = drop().record(0.06)
     count = len(tape.end)
     assert len(tape) == 60 and tape.start.position.shape == (count, 3)
+    np.testing.assert_allclose(tape.dt, np.full(60, 1e-3), rtol=1e-9)
+    assert tape.end.mass.sum() == pytest.approx(1000 * 0.2 * 0.2 * 0.18, rel=0.05) and not tape.end.body.any()
     np.testing.assert_array_equal(tape.start.id, tape.end.id)
     assert tape.end.position[:, 2].mean() == pytest.approx(height(2e4), abs=1e-15)
     up = np.zeros((count, 3))
@@ -60,10 +62,30 @@ def test_tapes_chain_and_losses_may_look_at_both():
     np.testing.assert_allclose(chained.gravity, direct.gravity, rtol=1e-9)
     for name, value in direct.parameters["jelly"].items():
         assert chained.parameters["jelly"][name] == pytest.approx(value, rel=1e-9)
+    with pytest.raises(ValueError, match="record one tape behind the other"):
+        second.pull_back(then=later)
     # What the loss owes to the middle is added.
     looked = first.pull_back(position=up, then=later)
     alone = first.pull_back(position=up)
     np.testing.assert_allclose(looked.position, chained.position + alone.position, rtol=1e-9, atol=1e-12)
+
+
+def test_a_body_that_spins_owes_to_its_affine_matrices_too():
+    def height(spin):
+        simulation = barchan.Simulation(JELLY, precision="f64", overrides={"body[0].angular_velocity": [0, spin, 0]})
+        tape = simulation.record(0.03)
+        return tape.end.position[:, 2] @ tape.end.position[:, 0], tape
+
+    loss, tape = height(0.5)
+    x, v = tape.end.position, np.zeros((len(tape.end), 3))
+    v[:, 0], v[:, 2] = x[:, 2], x[:, 0]
+    gradient = tape.pull_back(position=v)
+    arm = tape.start.position - tape.start.position.mean(axis=0)
+    axis = np.array([0, 1.0, 0])
+    # Velocity is the spin times the arm, and C the matrix of the same product.
+    spin = np.array([[0, 0, 1], [0, 0, 0], [-1, 0, 0.0]])
+    found = (np.cross(axis, arm) * gradient.velocity).sum() + (gradient.affine.reshape(-1, 3, 3) * spin).sum()
+    assert found == pytest.approx((height(0.5 + 1e-4)[0] - height(0.5 - 1e-4)[0]) / 2e-4, rel=1e-5)
 
 
 def test_worlds_of_a_batch_are_recorded_one_by_one():

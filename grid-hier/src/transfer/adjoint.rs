@@ -85,7 +85,7 @@ impl Stencil {
         });
     }
 
-    /// The adjoint of [`scatter`](Self::scatter): from cotangents of the nodes' momentum and mass to those of `momentum` and `mass`, and of the particle's place [1/m].
+    /// The adjoint of [`scatter`](Self::scatter): from cotangents of the nodes' momentum and mass to those of `momentum`, and of the particle's place [1/m].
     #[inline(always)]
     pub fn scatter_back(
         &self,
@@ -93,8 +93,8 @@ impl Stencil {
         momentum: &Affine,
         mass: f64,
         cotangent: impl Fn(usize) -> [f64; 4],
-    ) -> (Affine, f64, [f64; 3]) {
-        let (mut back, mut of_mass, mut place) = (Affine::default(), 0.0, [0.0; 3]);
+    ) -> (Affine, [f64; 3]) {
+        let (mut back, mut place) = (Affine::default(), [0.0; 3]);
         self.each(momentum, |n, Seen { weight, slope, way, value }| {
             let [x, y, z, m] = cotangent(n);
             let owed = x * value[0] + y * value[1] + z * value[2] + m * mass;
@@ -104,13 +104,12 @@ impl Stencil {
                 (0..3).for_each(|j| back.rows[3 * i + j] += weighed[i] * way[j]);
                 place[i] += slope[i] * owed;
             }
-            of_mass += weight * m;
         });
         // The way to a node becomes shorter as the particle moves there.
         for j in 0..3 {
             place[j] -= (0..3).map(|i| back.at[i] * momentum.rows[3 * i + j]).sum::<f64>() / h;
         }
-        (back, of_mass, place)
+        (back, place)
     }
 
     /// The adjoint of G2P: from cotangents of a particle's new velocity and of its new C to those of the nodes' velocities, which go to `give`, and of the place at which
@@ -196,21 +195,21 @@ mod tests {
     fn what_particles_give_has_its_adjoint() {
         let (h, f) = (0.3, [0.2, 0.55, 0.9]);
         let cotangents: [[f64; 4]; AROUND] = std::array::from_fn(|n| some(100 + 7 * n as u64));
-        // Place, velocity, rows and mass.
-        let loss = |x: [f64; 16]| {
+        // Place, velocity and rows.
+        let mass = 0.8;
+        let loss = |x: [f64; 15]| {
             let momentum = Affine { at: [x[3], x[4], x[5]], rows: std::array::from_fn(|e| x[6 + e]) };
             let place = std::array::from_fn(|d| f[d] + x[d] / h);
             let mut sum = 0.0;
-            Stencil::new(place, h).scatter(&momentum, x[15], |n, given| sum += dot(&given, &cotangents[n]));
+            Stencil::new(place, h).scatter(&momentum, mass, |n, given| sum += dot(&given, &cotangents[n]));
             sum
         };
-        let mut at: [f64; 16] = some(1);
+        let mut at: [f64; 15] = some(1);
         at[..3].fill(0.0);
         let momentum = Affine { at: [at[3], at[4], at[5]], rows: std::array::from_fn(|e| at[6 + e]) };
-        let (back, mass, place) = Stencil::new(f, h).scatter_back(h, &momentum, at[15], |n| cotangents[n]);
-        let along: [f64; 16] = some(50);
-        let given =
-            dot(&place, &along[..3]) + dot(&back.at, &along[3..6]) + dot(&back.rows, &along[6..15]) + mass * along[15];
+        let (back, place) = Stencil::new(f, h).scatter_back(h, &momentum, mass, |n| cotangents[n]);
+        let along: [f64; 15] = some(50);
+        let given = dot(&place, &along[..3]) + dot(&back.at, &along[3..6]) + dot(&back.rows, &along[6..15]);
         let found = slope(loss, at, along);
         assert!((given - found).abs() < 1e-9 * found.abs().max(1.0), "{given} {found}");
     }

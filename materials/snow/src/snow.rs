@@ -85,7 +85,9 @@ impl Material for Snow {
         param("critical_stretch", "1", 7.5e-3, 0.0, 10.0, "θ_s: principal stretches above 1 + θ_s are plastic.")
             .differentiable(),
         param("hardening", "1", 10.0, 0.0, 100.0, "ξ: moduli grow by exp(ξ (1 - J_p)).").differentiable(),
-        param("hardening_max", "1", 55.0, 1.0, 1e6, "Greatest factor by which the moduli grow.").log_scale(),
+        param("hardening_max", "1", 55.0, 1.0, 1e6, "Greatest factor by which the moduli grow.")
+            .log_scale()
+            .differentiable(),
     ];
     const STATES: &'static [State] =
         &[state("plastic_volume", "1", 1.0, "J_p, volume change kept by plastic flow.").merge_log_mean()];

@@ -1,8 +1,8 @@
 //! Gradients through steps that a device took: they are taken again there, and gone back through on the CPU in f64.
 
 use super::{cpu, gpu};
-use barchan::{Cotangents, Gradient, Simulation, Tape};
-use barchan_tests::scenes::within;
+use barchan::{Cotangents, Gradient, Options, Precision, Simulation, Tape};
+use barchan_tests::scenes::{options, within};
 use barchan_tests::sketch::{Head, block, material};
 
 /// A block that falls on the floor and spreads.
@@ -46,6 +46,31 @@ fn gradients_through_steps_of_a_device_are_those_of_the_cpu() {
         let host = pulled_back(cpu(&text), 1);
         are_alike(law, &pulled_back(gpu(&text), 1), &host);
         are_alike(law, &pulled_back(gpu(&text), 2), &host);
+    }
+}
+
+/// A run that goes on elsewhere half-way, in either direction: what the two tapes give is what one gives.
+#[test]
+fn gradients_go_through_a_swap() {
+    let text = spreads("neo_hookean", "young_modulus = 2e4");
+    let host = pulled_back(cpu(&text), 1);
+    let registry = barchan::registry();
+    for (mut sim, other) in [(cpu(&text), "wgpu"), (gpu(&text), "cpu")] {
+        let first = sim.record(&registry, 0.05).unwrap_or_else(|e| panic!("{e}"));
+        let options = Options { backend: other.into(), ..options(Precision::F32) };
+        sim.swap(&registry, &options).unwrap_or_else(|e| panic!("{e}"));
+        let second = sim.record(&registry, 0.1).unwrap_or_else(|e| panic!("{e}"));
+        let mut loss = Cotangents::zero(second.end().id.len());
+        for (of, x) in loss.position.iter_mut().zip(&second.end().position) {
+            *of = [x[2], 0.0, x[0]];
+        }
+        let later = second.pull_back(loss).unwrap_or_else(|e| panic!("{e}"));
+        let mut both = first.pull_back(later.particles).unwrap_or_else(|e| panic!("{e}"));
+        let sums = both.parameters[0].iter_mut().zip(&later.parameters[0]);
+        sums.for_each(|(sum, more)| *sum += more);
+        are_alike(&format!("on {other} then"), &both, &host);
+        let [by, exact] = [both.parameters[0][0], host.parameters[0][0]];
+        within("by the modulus", (by / exact - 1.0).abs(), 1e-3);
     }
 }
 

@@ -1,5 +1,6 @@
 //! Gradients, against differences of runs, closed forms and the chain rule.
 
+use barchan::gradient::by_number;
 use barchan::{Cotangents, Gradient, ParticleState, Precision, Simulation, Tape, Vec3};
 use barchan_tests::scenes::{Noise, options, scene, simulation, within};
 use barchan_tests::sketch::{Head, block, damped, driven, half, material, tool};
@@ -32,19 +33,11 @@ fn dot(a: &[Vec3], b: &[Vec3]) -> f64 {
     a.iter().zip(b).map(|(a, b)| (0..3).map(|d| a[d] * b[d]).sum::<f64>()).sum()
 }
 
-/// Places of particles in the order of their numbers, by list and place in it.
-fn ordered(state: &ParticleState) -> Vec<(usize, usize)> {
-    let mut all: Vec<_> =
-        state.lists.iter().enumerate().flat_map(|(l, list)| (0..list.len()).map(move |i| (l, i))).collect();
-    all.sort_by_key(|&(l, i)| state.lists[l].id[i]);
-    all
-}
-
 /// Gives particles a rough motion, and moves positions and velocities along directions by so much.
 fn stir(sim: &mut Simulation, lag: f64, by: [f64; 2]) {
     let mut state = ParticleState { sort: None, strain_dt: lag, ..sim.particles() };
     let mut noise = Noise::new(9);
-    for (l, i) in ordered(&state) {
+    for (l, i) in by_number(&state) {
         let list = &mut state.lists[l];
         list.velocity[i] = std::array::from_fn(|_| 0.5 * noise.draw());
         list.affine[i] = std::array::from_fn(|_| 6.0 * noise.draw());
@@ -82,7 +75,9 @@ struct Case<'a> {
 
 impl Case<'_> {
     fn simulation(&self, parameter: f64, gravity: f64, stirred: [f64; 2], precision: Precision) -> Simulation {
-        let head = Head { gravity: [0.6, 0.0, -gravity], ..Head::cells(H, [8, 8, 8], self.walls) }.time("step = 1e-3");
+        // Gravity grows over longer than the steps take.
+        let head = Head { gravity: [0.6, 0.0, -gravity], gravity_ramp: 0.3, ..Head::cells(H, [8, 8, 8], self.walls) };
+        let head = head.time("step = 1e-3");
         let parameters = self.parameters.replace("{}", &format!("{parameter:?}"));
         let size = [3.0 * H, 4.0 * H, 3.0 * H];
         let parts = [AWAKE.into(), material(self.law, 1000.0, &parameters), block(self.law, [0.0; 3], size, "")];
@@ -129,7 +124,7 @@ fn compare(case: &Case<'_>, parameter: (&str, f64)) {
     let compared = [
         ("positions", dot(&found.particles.position, &along_x), difference(1e-7, |by| run(value, 9.81, [by, 0.0]))),
         ("velocities", dot(&found.particles.velocity, &along_v), difference(1e-6, |by| run(value, 9.81, [0.0, by]))),
-        ("gravity", -found.gravity[2], difference(1e-4, |by| run(value, 9.81 + by, still))),
+        ("gravity", -found.gravity[2], difference(1e-3, |by| run(value, 9.81 + by, still))),
         (name, value * found.parameters[0][number], difference(1e-6, |by| run(value * (1.0 + by), 9.81, still))),
     ];
     for (what, given, expected) in compared {
