@@ -4,8 +4,8 @@
 //! goes to the nodes' velocity (the adjoint of G2P), to their momentum and mass, and from these to stress, v, C and x (that of P2G), and through the law to
 //! b, C, its history and its parameters. What the step made of the nodes is found anew, in f64 whatever the run's precision.
 //!
-//! Particles are worked on in pieces of a fixed number, each with nodes of its own, which are added up in the order of the pieces: sums are the same bits for any
-//! number of threads.
+//! Particles are worked on in pieces of a fixed number, some of which share nodes of their own. These are added up in the order of the pieces: sums are the same bits for
+//! any number of threads.
 #![expect(non_snake_case, reason = "symbols follow Hu et al. 2018")]
 
 use barchan_core::account::BATCH;
