@@ -10,10 +10,11 @@
 //! [`Sdf::contact_surface`]) it holds both ways, and nodes deeper than two cells, which no particle outside reaches, move with the body.
 
 use crate::motion::Pose;
-use crate::sdf::{Sdf, Surface};
+use crate::sdf::{Sdf, Surface, outer};
+use barchan_core::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents};
 use barchan_core::contact::{Grip, Touch};
 use barchan_core::scene::Contact;
-use barchan_core::{NearParticle, NodeBatch, Vec3};
+use barchan_core::{Aabb, NearParticle, NodeBatch, Vec3};
 use glam::{DMat3, DVec3};
 use rayon::prelude::*;
 
@@ -27,47 +28,110 @@ const FEW: usize = 128;
 /// Overlap at which a particle presses most, as a share of its width.
 const MOST_OVERLAP: f64 = 0.9;
 
-/// Adds the nodes that a body of this shape grips in a step of `dt` [s].
-pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatch, dt: f64, touches: &mut Vec<Touch>) {
-    let cell = nodes.cell_width;
-    let bounds = shape.bounds(pose, cell);
-    let around = bounds.grown(TOUCHING * cell);
-    let to_world = DMat3::from_quat(pose.rotation);
-    let to_body = to_world.transpose();
-    let surface_within = |x: Vec3, within: f64| {
-        shape.contact_surface_within(to_body * (DVec3::from_array(x) - pose.position), cell, within)
-    };
-    let (rounding, of_cell) = (1e-6 * cell, cell.powi(3));
-    let middle = std::array::from_fn(|d| 0.5 * (bounds.min[d] + bounds.max[d]));
-    // Asked for every node and particle of every body.
-    let has_images = nodes.periods != [0.0; 3];
-    let beside = |x: Vec3| if has_images { nodes.image_near(x, middle) } else { x };
-    let press_of = |particle: &NearParticle| {
-        let at = beside(particle.position);
-        // Few are wider than a cell.
-        let touching = if particle.volume <= of_cell { TOUCHING * cell + rounding } else { f64::INFINITY };
-        let (Surface { distance, normal }, _) = around.contains(at).then(|| surface_within(at, touching))??;
-        // Many are too far off, which is told without a root.
-        if (2.0 * distance).powi(3) >= particle.volume {
-            return None;
-        }
-        let width = particle.volume.cbrt();
-        let overlap = (0.5 - distance / width).clamp(0.0, MOST_OVERLAP);
-        Some(particle.modulus * width * width * overlap / (1.0 - overlap) * normal?)
-    };
-    let presses: Vec<Option<DVec3>> = nodes.particles.par_iter().with_min_len(FEW).map(press_of).collect();
-    let mut forces = vec![DVec3::ZERO; nodes.len()];
-    for (particle, press) in nodes.particles.iter().zip(presses) {
-        let Some(press) = press else { continue };
-        for (&node, weight) in nodes.cubes[particle.cube as usize].iter().zip(particle.weights()) {
-            if node != NodeBatch::NONE {
-                forces[node as usize] += weight * press;
-            }
+/// A body among the nodes and particles of a level.
+struct Meeting<'a> {
+    shape: &'a Sdf,
+    pose: &'a Pose,
+    nodes: &'a NodeBatch,
+    bounds: Aabb,
+    /// The middle of these bounds.
+    middle: Vec3,
+    has_images: bool,
+    to_world: DMat3,
+    to_body: DMat3,
+}
+
+impl<'a> Meeting<'a> {
+    fn new(shape: &'a Sdf, pose: &'a Pose, nodes: &'a NodeBatch) -> Self {
+        let bounds = shape.bounds(pose, nodes.cell_width);
+        let to_world = DMat3::from_quat(pose.rotation);
+        Self {
+            shape,
+            pose,
+            nodes,
+            bounds,
+            middle: std::array::from_fn(|d| 0.5 * (bounds.min[d] + bounds.max[d])),
+            has_images: nodes.periods != [0.0; 3],
+            to_world,
+            to_body: to_world.transpose(),
         }
     }
+
+    /// The image of a point that is beside the body. Asked for every node and particle of every body.
+    #[inline(always)]
+    fn beside(&self, x: Vec3) -> Vec3 {
+        if self.has_images { self.nodes.image_near(x, self.middle) } else { x }
+    }
+
+    /// A point in the body's frame.
+    #[inline(always)]
+    fn local(&self, x: Vec3) -> DVec3 {
+        self.to_body * (DVec3::from_array(x) - self.pose.position)
+    }
+
+    /// The surface and its normal in the body's frame, and whether the point lies in the core of a thin part.
+    #[inline(always)]
+    fn surface_within(&self, x: Vec3, within: f64) -> Option<(Surface, bool)> {
+        self.shape.contact_surface_within(self.local(x), self.nodes.cell_width, within)
+    }
+
+    /// What particles press with, in the body's frame; none of those that do not touch it.
+    fn presses(&self) -> Vec<Option<DVec3>> {
+        let cell = self.nodes.cell_width;
+        let (around, of_cell) = (self.bounds.grown(TOUCHING * cell), cell.powi(3));
+        let press_of = |particle: &NearParticle| {
+            let at = self.beside(particle.position);
+            // Few are wider than a cell.
+            let touching = if particle.volume <= of_cell { TOUCHING * cell + rounding(cell) } else { f64::INFINITY };
+            let (Surface { distance, normal }, _) =
+                around.contains(at).then(|| self.surface_within(at, touching))??;
+            // Many are too far off, which is told without a root.
+            if (2.0 * distance).powi(3) >= particle.volume {
+                return None;
+            }
+            Some(pressing(particle, distance).0 * normal?)
+        };
+        self.nodes.particles.par_iter().with_min_len(FEW).map(press_of).collect()
+    }
+
+    /// What particles press with on each node, in the body's frame.
+    fn forces(&self, presses: &[Option<DVec3>]) -> Vec<DVec3> {
+        let mut forces = vec![DVec3::ZERO; self.nodes.len()];
+        for (particle, press) in self.nodes.particles.iter().zip(presses) {
+            let Some(press) = *press else { continue };
+            for (&node, weight) in self.nodes.cubes[particle.cube as usize].iter().zip(particle.weights()) {
+                if node != NodeBatch::NONE {
+                    forces[node as usize] += weight * press;
+                }
+            }
+        }
+        forces
+    }
+}
+
+/// How much further off something may be than what is asked for [m].
+fn rounding(cell: f64) -> f64 {
+    1e-6 * cell
+}
+
+/// How strongly a particle presses at a distance [N], and how that changes with the distance [N/m].
+#[inline(always)]
+fn pressing(particle: &NearParticle, distance: f64) -> (f64, f64) {
+    let width = particle.volume.cbrt();
+    let overlap = (0.5 - distance / width).clamp(0.0, MOST_OVERLAP);
+    let most = particle.modulus * width * width;
+    let slope = if overlap < MOST_OVERLAP { -most / width / (1.0 - overlap).powi(2) } else { 0.0 };
+    (most * overlap / (1.0 - overlap), slope)
+}
+
+/// Adds the nodes that a body of this shape grips in a step of `dt` [s].
+pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatch, dt: f64, touches: &mut Vec<Touch>) {
+    let meeting = Meeting::new(shape, pose, nodes);
+    let (cell, to_world) = (nodes.cell_width, meeting.to_world);
+    let forces = meeting.forces(&meeting.presses());
     let inside_of = |&x: &Vec3| {
-        let x = beside(x);
-        let surface = bounds.contains(x).then(|| surface_within(x, rounding))?;
+        let x = meeting.beside(x);
+        let surface = meeting.bounds.contains(x).then(|| meeting.surface_within(x, rounding(cell)))?;
         surface.filter(|(surface, _)| surface.distance < 0.0)
     };
     let inside: Vec<Option<(Surface, bool)>> = nodes.position.par_iter().with_min_len(FEW).map(inside_of).collect();
@@ -91,9 +155,79 @@ pub(crate) fn touch(shape: &Sdf, contact: Contact, pose: &Pose, nodes: &NodeBatc
             (Some(friction), None, Some(normal)) => Grip::Coulomb { normal, friction, most },
             (Some(_), None, None) => continue,
         };
-        let position = beside(nodes.position[node]);
-        let distance = || surface_within(position, f64::INFINITY).map_or(f64::INFINITY, |(there, _)| there.distance);
+        let position = meeting.beside(nodes.position[node]);
+        let distance =
+            || meeting.surface_within(position, f64::INFINITY).map_or(f64::INFINITY, |(there, _)| there.distance);
         let distance = inside.map_or_else(distance, |(surface, _)| surface.distance);
         touches.push(Touch { node, arm: DVec3::from_array(position) - pose.position, distance, grip, is_deep });
+    }
+}
+
+/// The adjoint of [`touch`]: from what is owed to grips to what is owed to nodes' masses and to particles, and to where the body is.
+pub(crate) fn touch_back(
+    shape: &Sdf,
+    pose: &Pose,
+    nodes: &NodeBatch,
+    dt: f64,
+    (touches, grips): (&[Touch], &[GripCotangent]),
+    near: &mut NearCotangents,
+    body: &mut BodyInStep,
+) {
+    let meeting = Meeting::new(shape, pose, nodes);
+    let (cell, to_world) = (nodes.cell_width, meeting.to_world);
+    let presses = meeting.presses();
+    let forces = meeting.forces(&presses);
+    // How a vector that belongs to a point changes with the point, along the world's axes.
+    let turned = |rows: DMat3| to_world * rows * meeting.to_body;
+    // What is owed to a vector at a point goes to the point, which is returned, and to the body's place: a body that moves along with the point changes nothing, and one that
+    // turns carries both round.
+    let mut owe = |arm: DVec3, vector: DVec3, rows: DMat3, owed: DVec3| {
+        let of_point = rows.transpose() * owed;
+        body.position -= of_point;
+        body.rotation += vector.cross(owed) - arm.cross(of_point);
+        of_point
+    };
+    let mut of_forces = vec![DVec3::ZERO; nodes.len()];
+    for (touch, owed) in touches.iter().zip(grips).filter(|(_, owed)| **owed != GripCotangent::default()) {
+        if let Grip::Bilateral { normal, .. } = touch.grip {
+            let rows = turned(shape.contact_slopes(meeting.to_body * touch.arm, cell).normal);
+            owe(touch.arm, normal, rows, owed.normal);
+            continue;
+        }
+        // The direction is that of the sum of forces, and the bound its size times dt / m.
+        let (force, mass) = (to_world * forces[touch.node], nodes.mass[touch.node]);
+        let (length, along) = (force.length(), force.normalize_or_zero());
+        if length > 0.0 {
+            let across = owed.normal - along.dot(owed.normal) * along;
+            of_forces[touch.node] += across / length + owed.most * dt / mass * along;
+            near.mass[touch.node] -= owed.most * length * dt / (mass * mass);
+        }
+    }
+    for (i, (particle, press)) in nodes.particles.iter().zip(&presses).enumerate() {
+        let Some(press) = *press else { continue };
+        let cube = nodes.cubes[particle.cube as usize].iter();
+        let (mut owed, mut of_place) = (DVec3::ZERO, DVec3::ZERO);
+        let weights = particle.weights().into_iter().zip(particle.weight_slopes());
+        for ((&node, (weight, slopes)), press) in cube.zip(weights).zip(std::iter::repeat(to_world * press)) {
+            if node != NodeBatch::NONE {
+                let of_force = of_forces[node as usize];
+                owed += weight * of_force;
+                of_place += of_force.dot(press) * DVec3::from_array(slopes);
+            }
+        }
+        if owed == DVec3::ZERO && of_place == DVec3::ZERO {
+            continue;
+        }
+        let at = meeting.beside(particle.position);
+        let Some((Surface { distance, normal: Some(normal) }, _)) = meeting.surface_within(at, f64::INFINITY) else {
+            continue;
+        };
+        let (size, slope) = pressing(particle, distance);
+        let slopes = shape.contact_slopes(meeting.local(at), cell);
+        let rows = turned(outer(slope * normal, slopes.distance) + slopes.normal * size);
+        let press = to_world * press;
+        let of_point = owe(DVec3::from_array(at) - pose.position, press, rows, owed) + of_place / cell;
+        (0..3).for_each(|d| near.position[i][d] += of_point[d]);
+        near.modulus[i] += press.dot(owed) / particle.modulus;
     }
 }

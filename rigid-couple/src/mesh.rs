@@ -4,7 +4,7 @@ use crate::Refusal;
 use crate::sdf::{Surface, four};
 use barchan_core::coupling::Aabb;
 use barchan_core::solid::Solid;
-use glam::DVec3;
+use glam::{DMat3, DVec3};
 use parry3d_f64::query::PointQuery;
 use parry3d_f64::shape::{TriMesh, TriMeshFlags};
 use std::collections::{BTreeMap, HashMap};
@@ -246,6 +246,10 @@ fn read_stl(file: &Path) -> std::io::Result<Vec<[DVec3; 3]>> {
         .collect()
 }
 
+fn lerp(a: f64, b: f64, t: f64) -> f64 {
+    a + t * (b - a)
+}
+
 /// Signed distance sampled on a grid around a mesh, trilinear between.
 #[derive(Clone, Debug)]
 pub struct DistanceGrid {
@@ -290,8 +294,15 @@ impl DistanceGrid {
         grid
     }
 
-    /// Distance and normal at `x`. Outside the grid: the distance to the grid plus the value there.
-    pub fn surface(&self, x: DVec3) -> Surface {
+    /// The place within the grid that is nearest to `x`, and 1 along each axis along which that is `x` itself, else 0.
+    pub(crate) fn nearest(&self, x: DVec3) -> (DVec3, DVec3) {
+        let end = self.origin + self.spacing * DVec3::from_array(self.size.map(|n| (n - 1) as f64));
+        let at = x.clamp(self.origin, end);
+        (at, DVec3::from_array(std::array::from_fn(|d| if at[d] == x[d] { 1.0 } else { 0.0 })))
+    }
+
+    /// The eight samples around a place, and the place between them, 0 to 1 along each axis; of one outside the grid, of the nearest place within it.
+    fn around(&self, x: DVec3) -> ([[[f64; 2]; 2]; 2], DVec3, DVec3) {
         let last = DVec3::from_array(self.size.map(|n| (n - 1) as f64));
         let s = ((x - self.origin) / self.spacing).clamp(DVec3::ZERO, last);
         let cell: [usize; 3] = std::array::from_fn(|d| (s[d] as usize).min(self.size[d] - 2));
@@ -299,10 +310,16 @@ impl DistanceGrid {
         let (stride_y, stride_z) = (self.size[0], self.size[0] * self.size[1]);
         let corner = cell[0] + cell[1] * stride_y + cell[2] * stride_z;
         let value = |i: usize, j: usize, k: usize| self.values[corner + i + j * stride_y + k * stride_z];
-        let lerp = |a: f64, b: f64, t: f64| a + t * (b - a);
+        let values = [0, 1].map(|k| [0, 1].map(|j| [0, 1].map(|i| value(i, j, k))));
+        (values, f, s)
+    }
+
+    /// Distance and normal at `x`. Outside the grid: the distance to the grid plus the value there.
+    pub fn surface(&self, x: DVec3) -> Surface {
+        let (v, f, s) = self.around(x);
         // Values and x-slopes on the four edges along x, then across y, then across z.
-        let edge = |j, k| lerp(value(0, j, k), value(1, j, k), f.x);
-        let rise = |j, k| value(1, j, k) - value(0, j, k);
+        let edge = |j: usize, k: usize| lerp(v[k][j][0], v[k][j][1], f.x);
+        let rise = |j: usize, k: usize| v[k][j][1] - v[k][j][0];
         let face = |k| lerp(edge(0, k), edge(1, k), f.y);
         let at_grid = lerp(face(0), face(1), f.z);
         let gradient = DVec3::new(
@@ -320,6 +337,30 @@ impl DistanceGrid {
             return Surface { distance: at_grid + gap, normal };
         }
         Surface { distance: at_grid, normal }
+    }
+
+    /// The distance at a place within the grid [m], its gradient, and how that changes, a row for each of its components [1/m].
+    pub(crate) fn derivatives(&self, x: DVec3) -> (f64, DVec3, DMat3) {
+        let (v, f, _) = self.around(x);
+        // Sums over the corners of the weight along each axis that is kept, and of the sign along each that is differentiated.
+        let sum = |along: [bool; 3]| {
+            let factor = |d: usize, end: usize| match (along[d], end) {
+                (true, 0) => -1.0 / self.spacing,
+                (true, _) => 1.0 / self.spacing,
+                (false, 0) => 1.0 - f[d],
+                (false, _) => f[d],
+            };
+            let corner = |n: usize| {
+                let [i, j, k] = [n % 2, n / 2 % 2, n / 4];
+                factor(0, i) * factor(1, j) * factor(2, k) * v[k][j][i]
+            };
+            (0..8).map(corner).sum::<f64>()
+        };
+        let axes = |a: usize, b: usize| std::array::from_fn(|d| d == a || d == b);
+        let gradient = DVec3::from_array(std::array::from_fn(|d| sum(axes(d, d))));
+        let [xy, xz, yz] = [sum(axes(0, 1)), sum(axes(0, 2)), sum(axes(1, 2))];
+        let second = DMat3::from_cols_array_2d(&[[0.0, xy, xz], [xy, 0.0, yz], [xz, yz, 0.0]]);
+        (sum([false; 3]), gradient, second)
     }
 
     /// As `sampled.wgsl` reads it, from the point `centre` on.

@@ -3,7 +3,7 @@
 use crate::Refusal;
 use barchan_core::contact::Twist;
 use barchan_core::scene::{Interpolation, Keyframe};
-use glam::{DQuat, DVec3};
+use glam::{DMat3, DQuat, DVec3};
 use serde::{Deserialize, Serialize};
 
 /// Where a frame is.
@@ -51,6 +51,21 @@ impl Pose {
     }
 }
 
+/// How the rotation by a vector changes with it: the small turn about the world's axes on top of it that a small change makes [rad/rad] (the left Jacobian of the rotations;
+/// Solà et al. 2018, *A micro Lie theory for state estimation in robotics*, eq. 145).
+pub(crate) fn turn_slopes(vector: DVec3) -> DMat3 {
+    let angle = vector.length();
+    let cross = DMat3::from_cols(vector.cross(DVec3::X), vector.cross(DVec3::Y), vector.cross(DVec3::Z));
+    // (1 - cos a) / a² and (a - sin a) / a³.
+    let (first, second) = if angle < 1e-3 {
+        (0.5 - angle * angle / 24.0, 1.0 / 6.0 - angle * angle / 120.0)
+    } else {
+        let half = (0.5 * angle).sin() / angle;
+        (2.0 * half * half, (angle - angle.sin()) / angle.powi(3))
+    };
+    DMat3::IDENTITY + cross * first + cross * cross * second
+}
+
 /// Axis times angle of a rotation, the shorter way round [rad]; accurate for the smallest angles too.
 fn rotation_vector(q: DQuat) -> DVec3 {
     let q = if q.w < 0.0 { -q } else { q };
@@ -96,6 +111,16 @@ fn monotone_slope(a: f64, p: f64, b: f64, q: f64) -> f64 {
     }
     let (u, v) = (2.0 * q + p, q + 2.0 * p);
     (u + v) / (u / a + v / b)
+}
+
+/// How that slope changes with either secant.
+fn monotone_slopes(a: f64, p: f64, b: f64, q: f64) -> [f64; 2] {
+    if a * b <= 0.0 {
+        return [0.0; 2];
+    }
+    let (u, v) = (2.0 * q + p, q + 2.0 * p);
+    let part = (u + v) / (u / a + v / b).powi(2);
+    [part * u / (a * a), part * v / (b * b)]
 }
 
 /// Cubic Hermite over [0, 1]: the share of the way done at `s`, and the weights of the slopes at both ends.
@@ -182,6 +207,44 @@ impl KeyframePath {
             }
         }
         (linear, angular)
+    }
+
+    /// From what is owed to the position at `time` [s] to what is owed to the keyframes' positions, which is added to `frames`.
+    pub(crate) fn position_back(&self, time: f64, owed: DVec3, frames: &mut [DVec3]) {
+        let i = self.times.partition_point(|&t| t <= time);
+        if i == 0 || i == self.poses.len() {
+            frames[i.saturating_sub(1)] += owed;
+            return;
+        }
+        let span = self.times[i] - self.times[i - 1];
+        let s = (time - self.times[i - 1]) / span;
+        let (way, slopes) = match self.interpolation {
+            Interpolation::Linear => (s, [0.0; 2]),
+            Interpolation::Smooth => {
+                let (way, out, into) = hermite(s);
+                (way, [out * span, into * span])
+            }
+        };
+        frames[i - 1] += (1.0 - way) * owed;
+        frames[i] += way * owed;
+        for (k, weight) in [(i - 1, slopes[0]), (i, slopes[1])] {
+            if k == 0 || k + 1 == self.poses.len() || weight == 0.0 {
+                continue;
+            }
+            let (p, q) = (self.times[k] - self.times[k - 1], self.times[k + 1] - self.times[k]);
+            for d in 0..3 {
+                let [x, y, z] = [k - 1, k, k + 1].map(|k| self.poses[k].position[d]);
+                let [a, b] = monotone_slopes((y - x) / p, p, (z - y) / q, q).map(|slope| weight * owed[d] * slope);
+                frames[k - 1][d] -= a / p;
+                frames[k][d] += a / p - b / q;
+                frames[k + 1][d] += b / q;
+            }
+        }
+    }
+
+    /// Number of its keyframes.
+    pub(crate) fn len(&self) -> usize {
+        self.times.len()
     }
 
     /// The pose at `time` [s]; at a keyframe's time exactly the keyframe's.

@@ -9,10 +9,12 @@ use crate::surface::{mesh_of, placed, planes_of};
 use crate::tables::{Listed, Tables, row, rows};
 use crate::world::{RigidWorld, Role};
 use crate::{Refusal, is_within_reach};
+use barchan_core::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{
     Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Kept, Leashes, Moved, Placed,
 };
+use barchan_core::gradient::{BodyGradient, PoseCotangent};
 use barchan_core::plan::TOOL_COUPLING;
 use barchan_core::scene::{INSTANT, Motion};
 use barchan_core::{BodyState, Command, Coupling, Error, NodeBatch, Result, Scene, Surface, Vec3, Wrench};
@@ -391,6 +393,49 @@ impl Coupling for Rigid {
             return;
         }
         grip::touch(&body.shape, body.contact, &body.state.pose, nodes, dt, touches);
+    }
+
+    fn check_adjoint(&self) -> Result<()> {
+        for (body, tool) in self.bodies.iter().zip(&self.scene.tool) {
+            let (what, mend) = match body.mover {
+                Mover::Fixed | Mover::Path(_) | Mover::Velocity if tool.from <= 0.0 && tool.until.is_none() => continue,
+                Mover::Fixed | Mover::Path(_) | Mover::Velocity => {
+                    ("gradients do not go through tools that appear or vanish", "leave out from and until")
+                }
+                Mover::Free { .. } | Mover::Servo(_) => (
+                    "gradients do not go through bodies that the ground moves",
+                    "give it a motion of \"fixed\", velocity or keyframes",
+                ),
+            };
+            return Err(Refusal::new(what, mend).at(&format!("tool '{}'", body.name)));
+        }
+        Ok(())
+    }
+
+    fn touch_back(
+        &self,
+        body: usize,
+        dt: f64,
+        nodes: &NodeBatch,
+        touches: (&[Touch], &[GripCotangent]),
+        near: &mut NearCotangents,
+        owed: &mut BodyInStep,
+    ) -> bool {
+        let body = &self.bodies[body];
+        grip::touch_back(&body.shape, &body.state.pose, nodes, dt, touches, near, owed);
+        true
+    }
+
+    fn move_back(
+        &self,
+        body: usize,
+        time: f64,
+        dt: f64,
+        step: &BodyInStep,
+        pose: &mut PoseCotangent,
+        told: &mut BodyGradient,
+    ) {
+        self.bodies[body].move_back([time, dt], step, pose, told);
     }
 
     fn twist(&self, body: usize) -> Twist {

@@ -4,6 +4,11 @@
 //! exact to first order near the top of a height field (the vertical distance times the cosine of the slope). A union's
 //! distance is that of its nearest part: exact outside, a bound inside.
 
+mod slopes;
+
+pub use slopes::Slopes;
+pub(crate) use slopes::outer;
+
 use crate::Refusal;
 use crate::mesh::{DistanceGrid, TriangleMesh};
 use crate::motion::{Pose, rotation_from};
@@ -234,8 +239,8 @@ impl Primitive {
 }
 
 impl HeightField {
-    /// Height and slopes at (x, y), taken from the border outside the rectangle.
-    fn height(&self, x: f64, y: f64) -> (f64, f64, f64) {
+    /// The four samples around (x, y), x fastest, the place between them, 0 to 1 along each axis, and how far apart they are [m].
+    fn around(&self, x: f64, y: f64) -> ([f64; 4], [f64; 2], [f64; 2]) {
         let (rows, columns) = (self.heights.len(), self.heights[0].len());
         let locate = |x: f64, min: f64, max: f64, n: usize| {
             let spacing = (max - min) / (n - 1) as f64;
@@ -245,12 +250,23 @@ impl HeightField {
         };
         let (i, a, dx) = locate(x, self.min[0], self.max[0], columns);
         let (j, b, dy) = locate(y, self.min[1], self.max[1], rows);
-        let (h00, h10) = (self.heights[j][i], self.heights[j][i + 1]);
-        let (h01, h11) = (self.heights[j + 1][i], self.heights[j + 1][i + 1]);
+        let [low, high] = [&self.heights[j], &self.heights[j + 1]];
+        ([low[i], low[i + 1], high[i], high[i + 1]], [a, b], [dx, dy])
+    }
+
+    /// Height and slopes at (x, y), taken from the border outside the rectangle.
+    fn height(&self, x: f64, y: f64) -> (f64, f64, f64) {
+        let ([h00, h10, h01, h11], [a, b], [dx, dy]) = self.around(x, y);
         let h = (1.0 - b) * ((1.0 - a) * h00 + a * h10) + b * ((1.0 - a) * h01 + a * h11);
         let hx = ((1.0 - b) * (h10 - h00) + b * (h11 - h01)) / dx;
         let hy = ((1.0 - a) * (h01 - h00) + a * (h11 - h10)) / dy;
         (h, hx, hy)
+    }
+
+    /// How the slope along x changes along y at (x, y), and the other way round [1/m].
+    fn twist(&self, x: f64, y: f64) -> f64 {
+        let ([h00, h10, h01, h11], _, [dx, dy]) = self.around(x, y);
+        (h11 - h01 - h10 + h00) / (dx * dy)
     }
 
     /// As `sampled.wgsl` reads it, heights from `middle` on.
@@ -316,8 +332,12 @@ impl Part {
         if has_box && ((local - middle).abs() - half).max_element() > within + radius + padding {
             return None;
         }
-        let edge = (ROUND * cell - padding).clamp(0.0, self.half_thickness);
-        Some(self.rounded_at(local, edge).offset(padding))
+        Some(self.rounded_at(local, self.edge(cell)).offset(padding))
+    }
+
+    /// The radius to which contact on a grid of width `cell` rounds its edges [m].
+    fn edge(&self, cell: f64) -> f64 {
+        (ROUND * cell - self.padding(cell)).clamp(0.0, self.half_thickness)
     }
 }
 

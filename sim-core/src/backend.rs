@@ -252,11 +252,18 @@ pub struct Timing {
 /// Goes back through steps.
 pub trait Adjoint: Send {
     /// From what a loss owes to the particles after a step to what it owes to those before it, which are given, and to what is the same in all steps. The step began at `time` and took
-    /// `dt` [s]. In one of no length nothing moves: C changes the strain that [lags behind](ParticleState::strain_dt), and no more.
+    /// `dt` [s]; the couplings are as they were before it, and may be left otherwise. In one of no length nothing moves: C changes the strain that [lags behind](ParticleState::strain_dt), and no more.
     ///
     /// # Errors
     /// [`crate::Error::MaterialFailed`] if a law fails, or a derivative of it is not finite.
-    fn step_back(&mut self, before: &ParticleState, time: f64, dt: f64, gradient: &mut Gradient) -> Result<()>;
+    fn step_back(
+        &mut self,
+        before: &ParticleState,
+        couplings: &mut [Box<dyn Coupling>],
+        time: f64,
+        dt: f64,
+        gradient: &mut Gradient,
+    ) -> Result<()>;
 }
 
 /// A compiled plan with its particles.

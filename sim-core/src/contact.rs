@@ -17,6 +17,7 @@
 //! secant f(u) = K(u) u, K frozen: since 0 ≤ K ≤ 1 is symmetric, this is consistent and dissipative even where the iteration has not converged, and
 //! the body receives exactly the momentum that the nodes lose.
 
+pub mod adjoint;
 mod search;
 pub mod wgsl;
 

@@ -1,6 +1,8 @@
 //! Couplings: what acts on the soft ground through grid nodes, and what it feels in return.
 
+use crate::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents, no_adjoint};
 use crate::contact::{Reaction, System, Touch, Twist};
+use crate::gradient::{BodyGradient, PoseCotangent};
 use crate::sense::RobotState;
 use crate::surface::Surface;
 use crate::{Result, Vec3};
@@ -281,6 +283,18 @@ impl NearParticle {
     pub fn weights(&self) -> [f64; 8] {
         let along = self.place.map(|f| [1.0 - f, f]);
         std::array::from_fn(|n| along[0][n / 4] * along[1][n / 2 % 2] * along[2][n % 2])
+    }
+
+    /// How these weights change with its place between the nodes, along each axis.
+    pub fn weight_slopes(&self) -> [Vec3; 8] {
+        let along = self.place.map(|f| [1.0 - f, f]);
+        std::array::from_fn(|n| {
+            let at = [n / 4, n / 2 % 2, n % 2];
+            std::array::from_fn(|d| {
+                let others = (0..3).filter(|e| *e != d).map(|e| along[e][at[e]]);
+                others.product::<f64>() * if at[d] == 1 { 1.0 } else { -1.0 }
+            })
+        })
     }
 }
 
@@ -646,6 +660,40 @@ pub trait Coupling: Send + Sync {
     /// Which nodes a body grips in a step of `dt` [s], and how: they are added to `touches`, each node at most once.
     fn touch(&mut self, body: usize, dt: f64, nodes: &NodeBatch, touches: &mut Vec<Touch>) {
         let _ = (body, dt, nodes, touches);
+    }
+    /// Can gradients go back through what its bodies do, by [`touch_back`](Self::touch_back) and [`move_back`](Self::move_back)?
+    ///
+    /// # Errors
+    /// What they cannot go through, and what mends it.
+    fn check_adjoint(&self) -> Result<()> {
+        Err(no_adjoint(self.name()))
+    }
+    /// The adjoint of [`touch`](Self::touch) of a driven body in the step that has begun: from what is owed to its grips, one for each of its touches, to what is owed to nodes' masses
+    /// and to particles, which is added to `near`, and to the body's place, which is added to `owed`. Returns whether it has one.
+    fn touch_back(
+        &self,
+        body: usize,
+        dt: f64,
+        nodes: &NodeBatch,
+        touches: (&[Touch], &[GripCotangent]),
+        near: &mut NearCotangents,
+        owed: &mut BodyInStep,
+    ) -> bool {
+        let _ = (body, dt, nodes, touches, near, owed);
+        false
+    }
+    /// How a driven body moves in the step from `time` that takes `dt` [s], backwards: `step` is what contact in it owes to the body, `pose` goes from what is owed to where the body is
+    /// behind the step to that before it, and `told` gets what is owed to what the body is told.
+    fn move_back(
+        &self,
+        body: usize,
+        time: f64,
+        dt: f64,
+        step: &BodyInStep,
+        pose: &mut PoseCotangent,
+        told: &mut BodyGradient,
+    ) {
+        let _ = (body, time, dt, step, pose, told);
     }
     /// The twist of a body's reference point: as it is given over this step if the body is driven, else as it would be without contact.
     fn twist(&self, body: usize) -> Twist {

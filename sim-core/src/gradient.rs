@@ -4,9 +4,13 @@
 //! steps at a time as there are such stretches, and goes back through each stretch step by step ([`Adjoint`]). So it needs room for twice the root of the
 //! number of steps, and takes them twice. Nothing is clipped.
 
-use crate::{Backend, Engine, Error, Form, Options, ParticleState, Plan, Registry, Result, Simulation, Stage, Vec3};
+use crate::coupling::Kept;
+use crate::{
+    Backend, Coupling, Engine, Error, Form, Options, ParticleState, Plan, Registry, Result, Simulation, Stage, Vec3,
+    Wrench,
+};
 use std::ops::ControlFlow;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// Most history variables of a law that gradients go through.
 pub const MOST_STATES: usize = 16;
@@ -26,6 +30,39 @@ pub struct Cotangents {
     pub state: Vec<[f64; MOST_STATES]>,
     /// Are strain and history those that C has [yet to change](ParticleState::strain_dt)?
     pub lags: bool,
+    /// By tools and other bodies of couplings, in the scene's order; empty if nothing is owed to them.
+    pub bodies: Vec<BodyCotangents>,
+}
+
+/// Derivatives of a loss by what a body of a coupling is and felt.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct BodyCotangents {
+    /// By where it is.
+    pub pose: PoseCotangent,
+    /// By the impulse of the ground on it over the tape [1/(N s)], and the angular impulse about its reference point [1/(N m s)]. At the start of a tape it is 0.
+    pub impulse: Wrench,
+}
+
+/// Derivatives of a loss by where a body is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PoseCotangent {
+    /// By its reference point: the origin of a driven tool's frame [1/m].
+    pub position: Vec3,
+    /// By its rotation, as a small turn about the world's axes on top of it [1/rad].
+    pub rotation: Vec3,
+}
+
+/// Derivatives of a loss by what a driven body was told over a tape.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct BodyGradient {
+    /// By its velocity, if it is driven by velocity [s/m].
+    pub linear: Vec3,
+    /// By its angular velocity, likewise [s/rad].
+    pub angular: Vec3,
+    /// By the positions of its keyframes, if it moves along some [1/m].
+    pub keyframes: Vec<Vec3>,
+    /// By its coefficient of friction: 0 for contact that knows none.
+    pub friction: f64,
 }
 
 impl Cotangents {
@@ -38,6 +75,7 @@ impl Cotangents {
             strain: vec![[0.0; 9]; particles],
             state: vec![[0.0; MOST_STATES]; particles],
             lags: false,
+            bodies: Vec::new(),
         }
     }
 
@@ -60,9 +98,22 @@ pub struct Gradient {
     pub parameters: Vec<Vec<f64>>,
     /// By gravity [s²/m].
     pub gravity: Vec3,
+    /// By what each body of the couplings was told, in the scene's order.
+    pub bodies: Vec<BodyGradient>,
 }
 
-/// Where particles are and how fast, in the order of their numbers.
+/// Where a body of a coupling is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BodyPose {
+    /// Its name.
+    pub name: String,
+    /// Its reference point [m].
+    pub position: Vec3,
+    /// Its orientation quaternion (w, x, y, z).
+    pub rotation: [f64; 4],
+}
+
+/// Where particles are and how fast, in the order of their numbers, and where bodies of couplings are.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Moment {
     /// When [s].
@@ -79,6 +130,8 @@ pub struct Moment {
     pub position: Vec<Vec3>,
     /// Velocities [m/s].
     pub velocity: Vec<Vec3>,
+    /// Tools and other bodies of couplings, in the scene's order.
+    pub bodies: Vec<BodyPose>,
 }
 
 /// A step that was taken.
@@ -100,6 +153,10 @@ pub struct Tape {
     start: ParticleState,
     steps: Vec<Taken>,
     moments: [Moment; 2],
+    /// Couplings of their own to take steps again with, and what those of the simulation were at the start.
+    couplings: Mutex<Vec<Box<dyn Coupling>>>,
+    coupled: Vec<Vec<u8>>,
+    impulses: Vec<Wrench>,
 }
 
 impl std::fmt::Debug for Tape {
@@ -120,8 +177,10 @@ pub fn by_number(particles: &ParticleState) -> Vec<(usize, usize)> {
     all
 }
 
-fn moment(particles: &ParticleState, time: f64) -> Moment {
-    let mut moment = Moment { time, ..Moment::default() };
+fn moment(particles: &ParticleState, simulation: &Simulation) -> Moment {
+    let bodies = simulation.bodies().into_iter();
+    let bodies = bodies.map(|body| BodyPose { name: body.name, position: body.position, rotation: body.rotation });
+    let mut moment = Moment { time: simulation.time(), bodies: bodies.collect(), ..Moment::default() };
     for (l, i) in by_number(particles) {
         let list = &particles.lists[l];
         moment.id.push(list.id[i]);
@@ -138,9 +197,6 @@ fn moment(particles: &ParticleState, time: f64) -> Moment {
 fn mend(stage: Stage) -> &'static str {
     match stage {
         Stage::SLEEP => "set sleep.on = false",
-        Stage::CONTACT | Stage::BODIES => {
-            "leave tools, robots and other couplings out: gradients do not go through contact yet"
-        }
         Stage::ADAPT | Stage::RESTRICT | Stage::PROLONG => {
             "use one level: gradients do not go through nested levels yet"
         }
@@ -227,15 +283,21 @@ impl Simulation {
         let backwards = if has_all { &own } else { registry.backend(&Options::default().backend)? };
         let backwards = Arc::clone(backwards);
         check(&plan, &*backwards)?;
+        self.couplings().iter().try_for_each(|coupling| coupling.check_adjoint())?;
+        let couplings = Mutex::new(plan.make_couplings(registry)?);
+        let coupled = self.couplings().iter().map(|coupling| coupling.save()).collect();
         let start = self.engine().state();
         self.engine().check()?;
+        let began = moment(&start, self);
         let mut lost = self.lost();
         let mut steps = Vec::new();
+        let mut impulses = vec![Wrench::default(); began.bodies.len()];
         let mut time = self.time();
-        let began = time;
         let reached = self.advance(until, |simulation, report| {
             steps.push(Taken { time, dt: report.dt });
             time = simulation.time();
+            let felt = impulses.iter_mut().zip(simulation.wrenches());
+            felt.for_each(|(sum, wrench)| sum.add_change(&Wrench::default(), &wrench, report.dt));
             on_step(simulation)
         })?;
         if !reached {
@@ -244,7 +306,7 @@ impl Simulation {
         let end = self.particles();
         self.engine().check()?;
         lost = self.lost() - lost;
-        let moments = [moment(&start, began), moment(&end, self.time())];
+        let moments = [began, moment(&end, self)];
         if lost > 0 || moments[0].id != moments[1].id {
             return Err(refused(
                 "world.leaving",
@@ -252,7 +314,7 @@ impl Simulation {
                 "make the world larger, or record a shorter time",
             ));
         }
-        Ok(Some(Tape { plan, forwards: own, backwards, start, steps, moments }))
+        Ok(Some(Tape { plan, forwards: own, backwards, start, steps, moments, couplings, coupled, impulses }))
     }
 }
 
@@ -281,6 +343,10 @@ impl Tape {
     pub fn end(&self) -> &Moment {
         &self.moments[1]
     }
+    /// The impulse of the ground on each body of the couplings over its steps [N s], and the angular impulse about the body's reference point [N m s].
+    pub fn impulses(&self) -> &[Wrench] {
+        &self.impulses
+    }
 
     /// From what a loss owes to the particles at the end to what it owes to those at the start, and to what was the same throughout.
     ///
@@ -299,14 +365,23 @@ impl Tape {
     /// As [`pull_back`](Self::pull_back).
     pub fn pull_back_while(&self, cotangents: Cotangents, on_step: &mut OnStep<'_>) -> Result<Option<Gradient>> {
         let particles = self.moments[0].id.len();
-        let Cotangents { position, velocity, affine, strain, state, lags } = &cotangents;
+        let Cotangents { position, velocity, affine, strain, state, lags, bodies } = &cotangents;
         let lags = *lags;
         if [position.len(), velocity.len(), affine.len(), strain.len(), state.len()] != [particles; 5] {
             let what = format!("{} cotangents of {particles} particles", position.len());
             return Err(refused("cotangents", &what, "give one for each particle, in the order of their numbers"));
         }
         let own = position.iter().chain(velocity).flatten();
-        let rest = affine.iter().chain(strain).flatten().chain(state.iter().flatten());
+        let count = self.moments[0].bodies.len();
+        if ![0, count].contains(&bodies.len()) {
+            let what = format!("cotangents of {} bodies, and there are {count}", bodies.len());
+            return Err(refused("cotangents.bodies", &what, "give one for each, in the scene's order, or none"));
+        }
+        let of_bodies = bodies.iter().flat_map(|one| {
+            let BodyCotangents { pose, impulse } = one;
+            [&pose.position, &pose.rotation, &impulse.force, &impulse.torque]
+        });
+        let rest = affine.iter().chain(strain).flatten().chain(state.iter().flatten()).chain(of_bodies.flatten());
         if own.chain(rest).any(|x| !x.is_finite()) {
             return Err(refused("cotangents", "one is not a finite number", "look at the loss that they come from"));
         }
@@ -314,7 +389,14 @@ impl Tape {
             particles: cotangents,
             parameters: self.plan.materials.iter().map(|planned| vec![0.0; planned.parameters.len()]).collect(),
             gravity: [0.0; 3],
+            bodies: vec![BodyGradient::default(); count],
         };
+        gradient.particles.bodies.resize_with(count, BodyCotangents::default);
+        let mut couplings = self.couplings.lock().unwrap_or_else(PoisonError::into_inner);
+        let couplings = &mut couplings[..];
+        for (coupling, bytes) in couplings.iter_mut().zip(&self.coupled) {
+            coupling.restore(bytes).map_err(|what| cannot_go_back(&**coupling, what))?;
+        }
         let mut adjoint = self.backwards.adjoint(&self.plan)?;
         let stretch = self.steps.len().isqrt().max(1);
         let mut done = 0;
@@ -325,30 +407,34 @@ impl Tape {
         // Where each stretch begins, and the last state of all.
         let mut kept = Vec::new();
         let wanted = |i: usize| i.is_multiple_of(stretch) || i == self.steps.len();
-        let start = Before { particles: self.start.clone(), lagging: None };
-        if self.take_again(start, &self.steps, wanted, &mut kept, &mut go_on)?.is_break() {
+        let start = Before { particles: self.start.clone(), lagging: None, coupled: keep(couplings) };
+        if self.take_again(start, couplings, &self.steps, wanted, &mut kept, &mut go_on)?.is_break() {
             return Ok(None);
         }
         // A backend that brings strain up to date within a step has done so once more, and one that takes over from one that does not does so first.
         let end = kept.pop().map(|end| (end.particles.strain_dt > 0.0 && !lags, end));
         let carried = end.and_then(|(taken_over, end)| end.lagging.or(taken_over.then_some(end.particles)));
         if let Some(before) = carried {
-            adjoint.step_back(&before, self.moments[1].time, 0.0, &mut gradient)?;
+            adjoint.step_back(&before, &mut [], self.moments[1].time, 0.0, &mut gradient)?;
         }
         for (steps, start) in self.steps.chunks(stretch).zip(kept).rev() {
             let mut within = Vec::with_capacity(steps.len());
-            if self.take_again(start, &steps[..steps.len() - 1], |_| true, &mut within, &mut go_on)?.is_break() {
+            let to_last = &steps[..steps.len() - 1];
+            if self.take_again(start, couplings, to_last, |_| true, &mut within, &mut go_on)?.is_break() {
                 return Ok(None);
             }
             for (step, before) in steps.iter().zip(within).rev() {
-                let Before { particles, lagging } = before;
-                adjoint.step_back(lagging.as_ref().unwrap_or(&particles), step.time, step.dt, &mut gradient)?;
+                let Before { particles, lagging, coupled } = before;
+                go_back(couplings, coupled)?;
+                let particles = lagging.as_ref().unwrap_or(&particles);
+                adjoint.step_back(particles, couplings, step.time, step.dt, &mut gradient)?;
                 if go_on().is_break() {
                     return Ok(None);
                 }
             }
         }
         gradient.particles.lags = self.start.strain_dt > 0.0;
+        gradient.particles.bodies.iter_mut().for_each(|body| body.impulse = Wrench::default());
         Ok(Some(gradient))
     }
 
@@ -356,6 +442,7 @@ impl Tape {
     fn take_again(
         &self,
         start: Before,
+        couplings: &mut [Box<dyn Coupling>],
         steps: &[Taken],
         wanted: impl Fn(usize) -> bool,
         kept: &mut Vec<Before>,
@@ -368,9 +455,10 @@ impl Tape {
         let mut engine: Box<dyn Engine> = self.forwards.compile(&self.plan, start.particles.clone())?;
         // The state before the present step, for engines that bring strain up to date within it.
         let mut last = (start.particles.strain_dt == 0.0).then(|| start.particles.clone());
-        kept.extend(wanted(0).then_some(start));
+        go_back(couplings, start.coupled)?;
+        kept.extend(wanted(0).then_some(Before { coupled: keep(couplings), ..start }));
         for (i, step) in steps.iter().enumerate() {
-            let report = engine.step(step.time, step.dt, &mut [])?;
+            let report = engine.step(step.time, step.dt, couplings)?;
             if report.dt != step.dt {
                 return Err(refused("steps", "one came out shorter when it was taken again", "record them anew"));
             }
@@ -380,7 +468,7 @@ impl Tape {
                 let lags = now.strain_dt == 0.0;
                 let lagging = last.take_if(|_| lags).map(|last| lagging(&now, &last, step.dt));
                 last = lags.then(|| now.clone());
-                kept.extend(wanted(i + 1).then_some(Before { particles: now, lagging }));
+                kept.extend(wanted(i + 1).then(|| Before { particles: now, lagging, coupled: keep(couplings) }));
             }
             if go_on().is_break() {
                 return Ok(ControlFlow::Break(()));
@@ -397,6 +485,22 @@ struct Before {
     /// With strain and history as they were before C, which the step before has found, changed them: if the engine has already done so. Gradients go back through laws at the
     /// beginning of a step.
     lagging: Option<ParticleState>,
+    /// What each coupling goes back to.
+    coupled: Vec<Kept>,
+}
+
+fn keep(couplings: &[Box<dyn Coupling>]) -> Vec<Kept> {
+    couplings.iter().map(|coupling| coupling.keep()).collect()
+}
+
+fn go_back(couplings: &mut [Box<dyn Coupling>], coupled: Vec<Kept>) -> Result<()> {
+    let mut both = couplings.iter_mut().zip(coupled);
+    both.try_for_each(|(coupling, kept)| coupling.go_back(kept).map_err(|what| cannot_go_back(&**coupling, what)))
+}
+
+fn cannot_go_back(coupling: &dyn Coupling, what: String) -> Error {
+    let path = format!("coupling '{}'", coupling.name());
+    refused(&path, &format!("it cannot go back to an earlier step: {what}"), "record the steps anew")
 }
 
 /// Particles with strain and history of a step of `dt` before, which C has yet to change.

@@ -1,24 +1,27 @@
-//! Steps backwards, for gradients: one level, without bodies.
+//! Steps backwards, for gradients: one level.
 //!
-//! A step is x, v, C, b → stress and b' (the law) → momentum and mass of nodes (P2G, walls) → their velocity → v', C', x' (G2P). Backwards, what a loss owes to the latter
-//! goes to the nodes' velocity (the adjoint of G2P), to their momentum and mass, and from these to stress, v, C and x (that of P2G), and through the law to
+//! A step is x, v, C, b → stress and b' (the law) → momentum and mass of nodes (P2G, walls) → their velocity, which bodies change → v', C', x' (G2P). Backwards, what a loss owes to the
+//! latter goes to the nodes' velocity (the adjoint of G2P), through contact (`contact.rs`) to their momentum and mass, and from these to stress, v, C and x (that of P2G), and through the law to
 //! b, C, its history and its parameters. What the step made of the nodes is found anew, in f64 whatever the run's precision.
 //!
 //! Particles are worked on in pieces of a fixed number, some of which share nodes of their own. These are added up in the order of the pieces: sums are the same bits for
 //! any number of threads.
 #![expect(non_snake_case, reason = "symbols follow Hu et al. 2018")]
 
+mod contact;
+
 use barchan_core::account::BATCH;
 use barchan_core::batch::{Answer, Matter, Motion, Owed, Plane};
 use barchan_core::gradient::{Gradient, MOST_STATES, by_number};
 use barchan_core::material::ErrorBuffer;
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::{Adjoint, Error, ParticleList, ParticleState, Plan, Result, Scene, Vec3};
+use barchan_core::{Adjoint, Coupling, Error, ParticleList, ParticleState, Plan, Result, Scene, Vec3};
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::limits::{LEAST_MASS, MAX_DEFORMATION};
 use barchan_grid::transfer::adjoint::{AROUND, Affine, Stencil, deformed_back};
 use barchan_grid::transfer::{ENTRIES, deformed};
+use contact::{Around, Ground, Met};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use std::collections::HashMap;
@@ -37,6 +40,7 @@ pub(crate) struct CpuAdjoint {
     scene: Scene,
     /// Cell width [m].
     h: f64,
+    ground: Ground,
 }
 
 /// Particles that are worked on together: of one list, so many from one on.
@@ -167,6 +171,7 @@ struct Given {
 /// A step to go back through.
 #[derive(Clone, Copy)]
 struct Step {
+    time: f64,
     dt: f64,
     gravity: Vec3,
     /// How much of the scene's gravity that is.
@@ -193,7 +198,8 @@ impl CpuAdjoint {
             source: std::io::Error::other(e),
         })?;
         let (bounds, h) = (Bounds::new(plan, 0), plan.cell_widths[0]);
-        Ok(Self { pool, materials: plan.materials.clone(), bounds, scene: plan.scene.clone(), h })
+        let ground = Ground::new(plan)?;
+        Ok(Self { pool, materials: plan.materials.clone(), bounds, scene: plan.scene.clone(), h, ground })
     }
 
     /// What a list's law and step come to for a piece: stress, and what goes back through it needs.
@@ -484,27 +490,30 @@ impl CpuAdjoint {
         Ok(parameters)
     }
 
-    /// What is owed to the sums of nodes, from what is owed to their velocities.
-    fn sums_back(&self, velocities: &Nodes, sums: &Nodes, pairs: &[Pair], owed: &mut Nodes) {
-        let separations = &self.bounds.separations;
+    /// What is owed to nodes before walls that let go, from what is owed to their images behind them, which move as they do.
+    fn images_back(&self, pairs: &[Pair], owed: &mut Nodes) {
         for pair in pairs {
-            let separation = &separations[pair.separation].0;
+            let separation = &self.bounds.separations[pair.separation].0;
             let image = std::mem::take(owed.get_mut(pair.image));
             let back = separation.unfold_back(pair.presses, [image[0], image[1], image[2]]);
             (0..3).for_each(|d| owed.get_mut(pair.node)[d] += back[d]);
         }
+    }
+
+    /// What is owed to the sums of nodes, from what is owed to their velocities, and to masses by contact.
+    fn sums_back(&self, velocities: &Nodes, sums: &Nodes, pairs: &[Pair], owed: &mut Nodes) {
         for node in 0..owed.keys.len() * CELLS {
-            let (mass, u) = (sums.get(node)[3], velocities.get(node));
+            let [x, y, z, mass] = sums.get(node);
             let of = owed.get_mut(node);
-            if u[3] > 0.0 {
-                let [x, y, z, _] = *of;
-                *of = [x / mass, y / mass, z / mass, -(x * u[0] + y * u[1] + z * u[2]) / mass];
+            if velocities.get(node)[3] > 0.0 {
+                let along = of[0] * x + of[1] * y + of[2] * z;
+                *of = [of[0] / mass, of[1] / mass, of[2] / mass, of[3] - along / (mass * mass)];
             } else {
                 *of = [0.0; 4];
             }
         }
         for pair in pairs.iter().rev() {
-            let separation = &separations[pair.separation].0;
+            let separation = &self.bounds.separations[pair.separation].0;
             let [node, image] = separation.fold_back(&pair.sums[0], &pair.sums[1], owed.get(pair.node));
             (*owed.get_mut(pair.node), *owed.get_mut(pair.image)) = (node, image);
         }
@@ -532,7 +541,13 @@ impl CpuAdjoint {
         Ok(())
     }
 
-    fn back(&self, before: &ParticleState, step: &Step, gradient: &mut Gradient) -> Result<()> {
+    fn back(
+        &self,
+        before: &ParticleState,
+        couplings: &mut [Box<dyn Coupling>],
+        step: &Step,
+        gradient: &mut Gradient,
+    ) -> Result<()> {
         let numbers = numbers(before);
         let pieces = pieces(before, &numbers);
         let groups: Vec<Group<'_>> =
@@ -548,6 +563,8 @@ impl CpuAdjoint {
             // The last number says whether it moves at all.
             *velocities.get_mut(node) = if m > least { [x / m, y / m, z / m, 1.0] } else { [0.0; 4] };
         }
+        let around = Around { adjoint: self, particles: before, numbers: &numbers, sums: &sums, least };
+        let met = Met::forwards(&around, couplings, step, &mut velocities)?;
         for pair in pairs.iter().rev() {
             let separation = &self.bounds.separations[pair.separation].0;
             let (image, _) = separation.unfold(&velocities.get(pair.node), pair.presses, 0.0);
@@ -560,6 +577,8 @@ impl CpuAdjoint {
             owed.add(&nodes);
             backs.push(back);
         }
+        self.images_back(&pairs, &mut owed);
+        let near = met.backwards(couplings, step, &mut owed, gradient)?;
         self.sums_back(&velocities, &sums, &pairs, &mut owed);
         let one = |(group, backs): (&Group<'_>, Vec<Vec<Back>>)| {
             let to_all = owed.numbers_of(&group.nodes);
@@ -568,6 +587,7 @@ impl CpuAdjoint {
         };
         let given: Vec<Vec<Given>> = groups.par_iter().zip(backs).map(one).collect::<Result<_>>()?;
         take_in(gradient, &pieces, given.into_iter().flatten());
+        self.ground.take_in(&near, gradient);
         Ok(())
     }
 }
@@ -636,15 +656,22 @@ fn numbers(particles: &ParticleState) -> Vec<Vec<u32>> {
 }
 
 impl Adjoint for CpuAdjoint {
-    fn step_back(&mut self, before: &ParticleState, time: f64, dt: f64, gradient: &mut Gradient) -> Result<()> {
+    fn step_back(
+        &mut self,
+        before: &ParticleState,
+        couplings: &mut [Box<dyn Coupling>],
+        time: f64,
+        dt: f64,
+        gradient: &mut Gradient,
+    ) -> Result<()> {
         let rates = before.lists.iter().flat_map(|list| &list.affine);
         let fastest = rates.map(|c| c.iter().map(|x| x * x).sum::<f64>()).fold(0.0, f64::max).sqrt();
         let parts = (fastest * before.strain_dt / MAX_DEFORMATION).ceil().max(1.0) as u32;
         let (gravity, grown) = (self.scene.gravity_at(time), self.scene.grown_gravity(time));
-        let step = Step { dt, gravity, grown, strain_dt: before.strain_dt, parts };
+        let step = Step { time, dt, gravity, grown, strain_dt: before.strain_dt, parts };
         self.pool.install(|| match dt == 0.0 {
             true => self.carry_back(before, &step, gradient),
-            false => self.back(before, &step, gradient),
+            false => self.back(before, couplings, &step, gradient),
         })
     }
 }

@@ -1,12 +1,13 @@
 //! Gradients: the classes `Tape` and `Gradient`.
 
 use crate::errors::OrRaise;
-use crate::given::Numbers;
+use crate::given::{Numbers, axes};
 use crate::machine::SLICE;
 use crate::records;
-use barchan::gradient::Moment;
+use barchan::gradient::{BodyCotangents, BodyGradient, Moment};
 use barchan::{Cotangents, Plan, Vec3};
 use numpy::PyArray1;
+use pyo3::IntoPyObjectExt;
 use pyo3::exceptions::{PyTypeError, PyValueError};
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
@@ -63,6 +64,37 @@ fn cotangent(given: Option<&Numbers<'_>>, what: &str, to: &mut [Vec3]) -> PyResu
     Ok(())
 }
 
+/// What a loss owes to bodies, by their names: a dict for each, of three numbers by what it is by.
+fn of_bodies(given: &Bound<'_, PyDict>, end: &Moment, to: &mut [BodyCotangents]) -> PyResult<()> {
+    for (name, owed) in given {
+        let name: String = name.extract()?;
+        let Some(number) = end.bodies.iter().position(|body| body.name == name) else {
+            let known: Vec<&str> = end.bodies.iter().map(|body| body.name.as_str()).collect();
+            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+            return Err(PyValueError::new_err(format!("bodies: there is no '{name}'; there are: {known}")));
+        };
+        let to = &mut to[number];
+        for (what, numbers) in owed.cast::<PyDict>()? {
+            let what: String = what.extract()?;
+            let sum = match what.as_str() {
+                "position" => &mut to.pose.position,
+                "rotation" => &mut to.pose.rotation,
+                "impulse" => &mut to.impulse.force,
+                "angular_impulse" => &mut to.impulse.torque,
+                _ => {
+                    return Err(PyValueError::new_err(format!(
+                        "bodies: '{name}' has no derivative by '{what}'; give position, rotation, impulse or angular_impulse"
+                    )));
+                }
+            };
+            let numbers: Numbers<'_> = numbers.extract()?;
+            let numbers = axes(Some(numbers.as_array().iter().copied().collect()), &format!("bodies: {name}: {what}"))?;
+            (0..3).for_each(|d| sum[d] += numbers[d]);
+        }
+    }
+    Ok(())
+}
+
 fn moment<'py>(py: Python<'py>, moment: &Moment) -> PyResult<Bound<'py, PyAny>> {
     let fields = [
         ("id", records::vector(py, moment.id.clone())),
@@ -95,24 +127,42 @@ impl Tape {
         PyArray1::from_vec(py, self.tape.lengths())
     }
 
+    /// Impulse of the ground on each of the scene's tools over its steps [N s], and angular impulse about the origin of the tool's frame [N m s], by name: `Impulse` records.
+    #[getter]
+    fn impulses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let all = PyDict::new(py);
+        for (body, impulse) in self.tape.end().bodies.iter().zip(self.tape.impulses()) {
+            let fields = [
+                ("impulse", records::triple(py, impulse.force)),
+                ("angular_impulse", records::triple(py, impulse.torque)),
+            ];
+            all.set_item(&body.name, records::record(py, "Impulse", &fields)?)?;
+        }
+        Ok(all)
+    }
+
     /// What a loss owes to what was at the start and throughout: a `Gradient`. Its derivatives by the particles at the end are given, as arrays of the shape (n, 3), one row for
-    /// each particle in the order of `end`: by `position` [1/m] and by `velocity` [s/m]. What is left out is zero. `then` is the gradient of the tape that follows on this one, if the loss looks
+    /// each particle in the order of `end`: by `position` [1/m] and by `velocity` [s/m]. What is left out is zero. `bodies` has derivatives by tools: a dict by their names, of dicts of three numbers by `position` of their frame's origin [1/m] and
+    /// `rotation`, as a small turn about the world's axes [1/rad], both at the end, and by `impulse` [1/(N s)] and `angular_impulse` [1/(N m s)], as in `impulses`. `then` is the gradient of the tape that follows on this one, if the loss looks
     /// further.
     ///
     /// It takes all steps twice again, and goes back through each, which takes some fifty times as long as a step. Ctrl-C ends it.
     ///
     /// Raises `BodyError` if a derivative is not finite, `SimulationError` if one of a law is not.
-    #[pyo3(signature = (*, position=None, velocity=None, then=None))]
+    #[pyo3(signature = (*, position=None, velocity=None, bodies=None, then=None))]
     fn pull_back(
         &self,
         py: Python<'_>,
         position: Option<Numbers<'_>>,
         velocity: Option<Numbers<'_>>,
+        bodies: Option<&Bound<'_, PyDict>>,
         then: Option<&Bound<'_, Gradient>>,
     ) -> PyResult<Gradient> {
         let particles = self.tape.end().id.len();
-        if position.is_none() && velocity.is_none() && then.is_none() {
-            return Err(PyTypeError::new_err("it is not said what the loss owes to; give position, velocity or then"));
+        if position.is_none() && velocity.is_none() && bodies.is_none() && then.is_none() {
+            return Err(PyTypeError::new_err(
+                "it is not said what the loss owes to; give position, velocity, bodies or then",
+            ));
         }
         let mut cotangents = match then.map(Bound::get) {
             Some(then) if then.start != *self.tape.end() => {
@@ -125,6 +175,10 @@ impl Tape {
         };
         cotangent(position.as_ref(), "position", &mut cotangents.position)?;
         cotangent(velocity.as_ref(), "velocity", &mut cotangents.velocity)?;
+        if let Some(bodies) = bodies {
+            cotangents.bodies.resize_with(self.tape.end().bodies.len(), BodyCotangents::default);
+            of_bodies(bodies, self.tape.end(), &mut cotangents.bodies)?;
+        }
         let mut signals = Signals::new();
         let gradient = py.detach(|| self.tape.pull_back_while(cotangents, &mut |_| signals.look())).or_raise(py)?;
         signals.raised()?;
@@ -179,6 +233,11 @@ impl Gradient {
         for ((_, own), (_, other)) in self.parameters.iter_mut().zip(&then.parameters) {
             own.iter_mut().zip(other).for_each(|((_, sum), (_, more))| *sum += more);
         }
+        for (own, other) in self.gradient.bodies.iter_mut().zip(&then.gradient.bodies) {
+            let both = own.keyframes.as_flattened_mut().iter_mut().zip(other.keyframes.as_flattened());
+            both.for_each(|(sum, more)| *sum += more);
+            own.friction += other.friction;
+        }
     }
 }
 
@@ -216,6 +275,26 @@ impl Gradient {
             let of_one = PyDict::new(py);
             values.iter().try_for_each(|(name, value)| of_one.set_item(name, value))?;
             all.set_item(material, of_one)?;
+        }
+        Ok(all)
+    }
+
+    /// By the scene's tools, by name: `BodyGradient` records. What a tool was told is this tape's alone; its keyframes and its friction are of all that follow (`then`) as well.
+    #[getter]
+    fn bodies<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let all = PyDict::new(py);
+        let both = self.gradient.particles.bodies.iter().zip(&self.gradient.bodies);
+        for (body, (BodyCotangents { pose, .. }, told)) in self.start.bodies.iter().zip(both) {
+            let BodyGradient { linear, angular, keyframes, friction } = told;
+            let fields = [
+                ("position", records::triple(py, pose.position)),
+                ("rotation", records::triple(py, pose.rotation)),
+                ("linear", records::triple(py, *linear)),
+                ("angular", records::triple(py, *angular)),
+                ("keyframes", records::rows(py, keyframes.clone())?),
+                ("friction", friction.into_bound_py_any(py)?),
+            ];
+            all.set_item(&body.name, records::record(py, "BodyGradient", &fields)?)?;
         }
         Ok(all)
     }

@@ -23,7 +23,7 @@ pub(crate) fn rows<T: Element, const N: usize>(py: Python<'_>, rows: Vec<[T; N]>
     Ok(PyArray1::from_vec(py, rows.into_flattened()).reshape([count, N])?.into_any())
 }
 
-fn triple(py: Python<'_>, values: Vec3) -> Bound<'_, PyAny> {
+pub(crate) fn triple(py: Python<'_>, values: Vec3) -> Bound<'_, PyAny> {
     vector(py, values.to_vec())
 }
 

@@ -49,6 +49,85 @@ def test_a_gradient_is_the_derivative_by_a_parameter():
     assert set(gradient.parameters["jelly"]) == {"young_modulus", "poisson_ratio"}
 
 
+def pushed(motion, **more):
+    """Jelly that a ball is pushed into."""
+    ball = {"name": "ball", "shape": {"sphere": {"radius": 0.08}}, "position": [0.21, 0.19, 0.27], "contact": {"coulomb": {"friction": 0.4}}, "motion": motion}
+    body = {**JELLY["body"][0], "velocity": [0, 0, 0]}
+    return barchan.Simulation({**JELLY, "body": [body], "tool": [{**ball, **more}]}, precision="f64")
+
+
+def difference(loss, step):
+    return (loss(step) - loss(-step)) / (2 * step)
+
+
+def test_gradients_by_tools_are_derivatives_of_what_they_do_and_feel():
+    def run(speed, spin=0.0, height=0.0):
+        simulation = pushed({"velocity": {}}, position=[0.21, 0.19, 0.27 + height])
+        simulation.act("ball", linear=[0.2, 0, -0.8 + speed], angular=[0, 3 + spin, 0])
+        tape = simulation.record(0.02)
+        felt = tape.impulses["ball"]
+        return tape, tape.end.position[:, 0].sum() + 3 * felt.impulse[2] + 5 * felt.angular_impulse[1]
+
+    tape, _ = run(0.0)
+    assert tape.impulses["ball"].impulse[2] > 0.01
+    right = np.zeros((len(tape.end), 3))
+    right[:, 0] = 1
+    owed = {"ball": {"impulse": [0, 0, 3], "angular_impulse": (0, 5, 0)}}
+    gradient = tape.pull_back(position=right, bodies=owed).bodies["ball"]
+    assert gradient.keyframes.shape == (0, 3) and gradient.rotation.shape == (3,)
+    for given, changed, step in [
+        (gradient.linear[2], lambda by: run(by)[1], 1e-4),
+        (gradient.angular[1], lambda by: run(0, by)[1], 1e-3),
+        (gradient.position[2], lambda by: run(0, 0, by)[1], 1e-6),
+    ]:
+        assert given == pytest.approx(difference(changed, step), rel=1e-4)
+
+
+def test_gradients_by_commands_chain_and_end_where_a_tool_ends():
+    simulation = pushed({"velocity": {}})
+    tapes = []
+    for speed in (-0.9, -0.3):
+        simulation.act("ball", linear=[0, 0, speed])
+        tapes.append(simulation.record(0.01))
+    # However fast it goes, it ends where its ways add up to.
+    last = tapes[1].pull_back(bodies={"ball": {"position": [0, 0, 1]}})
+    first = tapes[0].pull_back(then=last)
+    for gradient in (first, last):
+        np.testing.assert_allclose(gradient.bodies["ball"].linear, [0, 0, 0.01], atol=1e-12)
+    np.testing.assert_allclose(first.bodies["ball"].position, [0, 0, 1], atol=1e-12)
+    # A tool that is elsewhere by then breaks the chain.
+    simulation.place("ball", position=[0.2, 0.2, 0.4])
+    moved = simulation.record(0.01).pull_back(bodies={"ball": {"position": [0, 0, 1]}})
+    with pytest.raises(ValueError, match="then: "):
+        tapes[1].pull_back(then=moved)
+
+
+def test_gradients_by_keyframes_are_derivatives():
+    def run(by):
+        frames = [{"time": 0, "position": [0.2, 0.2, 0.28]}, {"time": 0.015, "position": [0.21 + by, 0.2, 0.26]}, {"time": 0.03, "position": [0.22, 0.2, 0.25]}]
+        tape = pushed({"keyframes": {"frames": frames}}).record(0.02)
+        return tape, tape.impulses["ball"].impulse[0]
+
+    gradient = run(0.0)[0].pull_back(bodies={"ball": {"impulse": [1, 0, 0]}}).bodies["ball"]
+    assert gradient.keyframes.shape == (3, 3) and not gradient.position.any()
+    assert gradient.keyframes[1, 0] == pytest.approx(difference(lambda by: run(by)[1], 1e-6), rel=1e-4)
+
+
+def test_what_makes_no_sense_of_tools_is_refused():
+    with pytest.raises(barchan.BodyError, match="tool 'ball'.*velocity or keyframes"):
+        pushed({"free": {"mass": 1.0}}).record(0.01)
+    tape = pushed({"velocity": {"linear": [0, 0, -1]}}).record(0.004)
+    for owed, says in [
+        ({"cube": {"position": [0, 0, 1]}}, "there is no 'cube'; there are: ball"),
+        ({"ball": {"speed": [0, 0, 1]}}, "no derivative by 'speed'"),
+        ({"ball": {"position": [0, 1]}}, "it takes x, y and z"),
+    ]:
+        with pytest.raises(ValueError, match=says):
+            tape.pull_back(bodies=owed)
+    with pytest.raises(barchan.BodyError, match="not a finite number"):
+        tape.pull_back(bodies={"ball": {"impulse": [0, 0, np.nan]}})
+
+
 def test_tapes_chain_and_losses_may_look_at_both():
     whole = drop().record(0.05)
     up = np.ones((len(whole.end), 3))
@@ -99,15 +178,15 @@ def test_worlds_of_a_batch_are_recorded_one_by_one():
 
 
 def test_what_cannot_be_is_refused_by_name(press):
-    tool = barchan.Simulation(press, overrides={"sleep.on": False})
-    with pytest.raises(barchan.PluginError, match="contact.*leave tools"):
-        tool.record(0.01)
+    free = barchan.Simulation(press, overrides={"sleep.on": False, "tool[0].motion": {"free": {"mass": 1.0}}})
+    with pytest.raises(barchan.BodyError, match="the ground moves.*velocity or keyframes"):
+        free.record(0.01)
     with pytest.raises(barchan.PluginError, match="sleep.on = false"):
         barchan.Simulation(JELLY, overrides={"sleep.on": True}).record(0.01)
     with pytest.raises(ValueError, match="seconds"):
         drop().record(0)
     tape = drop().record(0.005)
-    with pytest.raises(TypeError, match="give position, velocity or then"):
+    with pytest.raises(TypeError, match="give position, velocity, bodies or then"):
         tape.pull_back()
     with pytest.raises(ValueError, match=r"position.*\(\d+, 3\)"):
         tape.pull_back(position=np.zeros((3, 3)))
@@ -119,9 +198,10 @@ def test_what_cannot_be_is_refused_by_name(press):
     assert "5 steps" in repr(tape)
 
 
-def test_the_example_of_the_documentation_finds_what_it_looks_for():
+@pytest.mark.parametrize("example", [0, 1])
+def test_the_examples_of_the_documentation_find_what_they_look_for(example):
     text = (Path(__file__).resolve().parents[3] / "docs" / "gradients.md").read_text()
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    assert len(blocks) == 1
-    done = subprocess.run([sys.executable, "-W", "error", "-c", blocks[0]], capture_output=True, text=True, timeout=300)
+    assert len(blocks) == 2
+    done = subprocess.run([sys.executable, "-W", "error", "-c", blocks[example]], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr

@@ -1,8 +1,8 @@
 //! What must hold for every scene.
 
 use crate::scenes::Noise;
-use barchan::scene::{Leaving, OverBound};
-use barchan::{Cotangents, Error, Ledger, Options, Precision, Registry, Scene, Simulation, Tape, Vec3};
+use barchan::scene::{Leaving, Motion, OverBound};
+use barchan::{Cotangents, Error, Gradient, Ledger, Options, Precision, Registry, Scene, Simulation, Tape, Vec3};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -238,7 +238,9 @@ impl Judge {
     /// Of a scene without what gradients do not go through: is a gradient over some steps that of their halves, one after the other, and the same bits on two threads?
     fn gradients_chain(&self, scene: &Scene, dt: f64) -> Held<()> {
         let mut scene = scene.clone();
-        (scene.tool, scene.robot, scene.coupling) = (Vec::new(), Vec::new(), Vec::new());
+        (scene.robot, scene.coupling) = (Vec::new(), Vec::new());
+        let is_driven = |motion: &Motion| !matches!(motion, Motion::Free { .. } | Motion::Servo(_));
+        scene.tool.retain(|tool| is_driven(&tool.motion) && tool.from <= 0.0 && tool.until.is_none());
         (scene.inflow, scene.outflow, scene.probe, scene.task) = (Vec::new(), Vec::new(), Vec::new(), None);
         scene.material.iter_mut().for_each(|material| material.damping = 0.0);
         (scene.levels, scene.sleep.on) = (Default::default(), Some(false));
@@ -260,23 +262,39 @@ impl Judge {
         if first.len() + second.len() != tape.len() {
             return Ok(());
         }
-        let particles = tape.end().id.len();
+        let (particles, mass) = (tape.end().id.len(), tape.end().mass.iter().sum::<f64>());
         let mut loss = Cotangents::zero(particles);
+        loss.bodies.resize_with(tape.end().bodies.len(), Default::default);
         let mut noise = Noise::new(3);
         for (x, v) in loss.position.iter_mut().zip(&mut loss.velocity) {
             *x = std::array::from_fn(|_| noise.draw() / scene.world.cell);
             *v = std::array::from_fn(|_| noise.draw() * end / scene.world.cell);
+        }
+        for body in &mut loss.bodies {
+            body.pose.position = std::array::from_fn(|_| noise.draw() / scene.world.cell);
+            body.impulse.force = std::array::from_fn(|_| noise.draw() * end / (scene.world.cell * mass));
         }
         let back = |tape: &Tape, loss| tape.pull_back(loss).or_else(|e| broken(Rule::Gradient, e.to_string()));
         let (whole, other) = (back(&tape, loss.clone())?, back(&same, loss.clone())?);
         if whole != other {
             return broken(Rule::Gradient, "two threads give other bits than one");
         }
-        let later = back(&second, loss)?;
-        let parted = back(&first, later.particles)?;
+        let later = back(&second, loss.clone())?;
+        let told = |gradient: &Gradient| gradient.bodies.iter().map(|body| body.linear).collect::<Vec<Vec3>>();
+        let (told_later, mut between) = (told(&later), later.particles);
+        // What a tool feels over both, and what it is told in both.
+        between.bodies.iter_mut().zip(&loss.bodies).for_each(|(body, loss)| body.impulse = loss.impulse);
+        let parted = back(&first, between)?;
+        let places = |gradient: &Gradient| {
+            gradient.particles.bodies.iter().map(|body| body.pose.position).collect::<Vec<Vec3>>()
+        };
+        let both: Vec<Vec3> =
+            told(&parted).into_iter().zip(told_later).map(|(a, b)| std::array::from_fn(|d| a[d] + b[d])).collect();
         for (what, whole, parted) in [
             ("positions", &whole.particles.position, &parted.particles.position),
             ("velocities", &whole.particles.velocity, &parted.particles.velocity),
+            ("places of tools", &places(&whole), &places(&parted)),
+            ("speeds of tools", &told(&whole), &both),
         ] {
             let size = whole.iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
             let apart = whole.iter().flatten().zip(parted.iter().flatten()).map(|(a, b)| (a - b).abs());

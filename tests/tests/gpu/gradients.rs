@@ -3,7 +3,7 @@
 use super::{cpu, gpu};
 use barchan::{Cotangents, Gradient, Options, Precision, Simulation, Tape};
 use barchan_tests::scenes::{options, within};
-use barchan_tests::sketch::{Head, block, material};
+use barchan_tests::sketch::{Head, block, driven, half, material, tool};
 
 /// A block that falls on the floor and spreads.
 fn spreads(law: &str, parameters: &str) -> String {
@@ -85,5 +85,38 @@ fn are_alike(law: &str, device: &Gradient, host: &Gradient) {
         let cosine = dot(a, b) / (dot(a, a) * dot(b, b)).sqrt();
         within(&format!("{law}, {what}: one less the cosine"), 1.0 - cosine, 1e-4);
         within(&format!("{law}, {what}: lengths"), ((dot(a, a) / dot(b, b)).sqrt() - 1.0).abs(), 1e-3);
+    }
+}
+
+/// Through tools that are driven: the device presses as the CPU does, and what the loss owes to the tool's speed and place and to the ground is what the CPU says.
+#[test]
+fn gradients_go_through_tools_on_a_device() {
+    let plate = tool(
+        "plate",
+        [0.1, 0.1, 0.3],
+        &half([0.12, 0.08, 0.1]),
+        "{ coulomb = { friction = 0.4 } }",
+        &driven([0.1, 0.0, -1.0]),
+    );
+    let text = spreads("neo_hookean", "young_modulus = 2e4") + &plate;
+    let [host, device] = [cpu(&text), gpu(&text)].map(|mut sim| {
+        let tape = sim.record(&barchan::registry(), 0.06).unwrap_or_else(|e| panic!("{e}"));
+        let mut loss = Cotangents::zero(tape.end().id.len());
+        loss.position.iter_mut().for_each(|of| of[0] = 1.0 / tape.end().id.len() as f64);
+        loss.bodies.resize_with(1, Default::default);
+        loss.bodies[0].impulse.force = [0.0, 0.0, 1e-2];
+        (tape.impulses()[0], tape.pull_back(loss).unwrap_or_else(|e| panic!("{e}")))
+    });
+    let (felt, of_host) = &host;
+    assert!(felt.force[2] > 0.05, "the plate presses: {:?}", felt.force);
+    within("impulse", (device.0.force[2] / felt.force[2] - 1.0).abs(), 1e-3);
+    are_alike("tool", &device.1, of_host);
+    for (what, found, expected) in [
+        ("speed", device.1.bodies[0].linear, of_host.bodies[0].linear),
+        ("place", device.1.particles.bodies[0].pose.position, of_host.particles.bodies[0].pose.position),
+    ] {
+        let size = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        let apart = (0..3).map(|d| (found[d] - expected[d]).abs()).fold(0.0, f64::max);
+        within(what, apart / size, 1e-2);
     }
 }

@@ -7,7 +7,7 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from barchan.records import Batch, Body, BodyArrays, Chamfer, HeightMap, HeightScan, Law, Particles, Patch, Plan, Robot, RobotArrays, Surface, Task, Wrench
+from barchan.records import Batch, Body, BodyArrays, BodyGradient, Chamfer, HeightMap, HeightScan, Impulse, Law, Particles, Patch, Plan, Robot, RobotArrays, Surface, Task, Wrench
 
 __version__: str
 
@@ -29,8 +29,15 @@ class Tape:
     def end(self) -> Particles: ...
     @property
     def dt(self) -> NDArray[np.float64]: ...
+    @property
+    def impulses(self) -> dict[str, Impulse]: ...
     def pull_back(
-        self, *, position: ArrayLike | None = None, velocity: ArrayLike | None = None, then: Gradient | None = None
+        self,
+        *,
+        position: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        bodies: dict[str, dict[str, ArrayLike]] | None = None,
+        then: Gradient | None = None,
     ) -> Gradient: ...
 
 @final
@@ -45,6 +52,8 @@ class Gradient:
     def gravity(self) -> NDArray[np.float64]: ...
     @property
     def parameters(self) -> dict[str, dict[str, float]]: ...
+    @property
+    def bodies(self) -> dict[str, BodyGradient]: ...
 
 @final
 class Simulation:

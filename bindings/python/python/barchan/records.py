@@ -16,9 +16,11 @@ __all__ = [
     "Batch",
     "Body",
     "BodyArrays",
+    "BodyGradient",
     "Chamfer",
     "HeightMap",
     "HeightScan",
+    "Impulse",
     "Law",
     "Link",
     "Particles",
@@ -147,6 +149,34 @@ class Wrench:
     """Force [N], (3,)."""
     torque: NDArray[np.float64]
     """Torque [N m], (3,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class Impulse:
+    """What the soft ground gave to a tool over a tape."""
+
+    impulse: NDArray[np.float64]
+    """Impulse [N s], (3,)."""
+    angular_impulse: NDArray[np.float64]
+    """Angular impulse about the origin of the tool's frame [N m s], (3,)."""
+
+
+@dataclass(frozen=True, eq=False)
+class BodyGradient:
+    """Derivatives of a loss by a tool."""
+
+    position: NDArray[np.float64]
+    """By the origin of its frame at the start of the tape [1/m], (3,); 0 if it moves along keyframes."""
+    rotation: NDArray[np.float64]
+    """By its rotation there, as a small turn about the world's axes on top of it [1/rad], (3,); 0 if it moves along keyframes."""
+    linear: NDArray[np.float64]
+    """By its velocity over the tape, if it is driven by velocity [s/m], (3,)."""
+    angular: NDArray[np.float64]
+    """By its angular velocity over the tape, likewise [s/rad], (3,)."""
+    keyframes: NDArray[np.float64]
+    """By the positions of its n keyframes, if it moves along some [1/m], (n, 3)."""
+    friction: float
+    """By its coefficient of friction; 0 for contact that knows none."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,0 +1,233 @@
+//! Bodies in a step backwards: they meet the nodes and particles near them as they did, and what a loss owes goes back through that.
+
+use super::{CpuAdjoint, Nodes, Step};
+use barchan_abi as abi;
+use barchan_core::contact::Contact;
+use barchan_core::contact::adjoint::NearCotangents;
+use barchan_core::coupling::begin_step;
+use barchan_core::gradient::Gradient;
+use barchan_core::plan::PlannedMaterial;
+use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, ParticleState, Plan, Result, Vec3, Wrench};
+use barchan_grid::block::{self, CELLS};
+use barchan_grid::near::{boxes_near_block, gather_block, is_near_block};
+use std::collections::HashMap;
+
+/// How stiff bodies find the ground.
+pub(super) struct Ground {
+    /// Of each material [Pa].
+    moduli: Vec<f64>,
+    /// And how that changes with each of its parameters.
+    slopes: Vec<Vec<f64>>,
+}
+
+impl Ground {
+    pub(super) fn new(plan: &Plan) -> Result<Self> {
+        if plan.couplings.is_empty() {
+            return Ok(Self { moduli: Vec::new(), slopes: Vec::new() });
+        }
+        let moduli =
+            plan.materials.iter().map(|planned| planned.contact_modulus(&plan.scene)).collect::<Result<_>>()?;
+        let slopes = plan.materials.iter().map(|planned| modulus_slopes(planned, plan)).collect::<Result<_>>()?;
+        Ok(Self { moduli, slopes })
+    }
+
+    /// What is owed to particles that pressed on bodies, and by their stiffness to parameters.
+    pub(super) fn take_in(&self, near: &[Pressed], gradient: &mut Gradient) {
+        for Pressed { number, material, position, modulus } in near {
+            (0..3).for_each(|d| gradient.particles.position[*number][d] += position[d]);
+            let sums = gradient.parameters[*material].iter_mut().zip(&self.slopes[*material]);
+            sums.for_each(|(sum, slope)| *sum += modulus * slope);
+        }
+    }
+}
+
+/// How the stiffness that bodies find changes with each differentiable parameter, by differences to the fourth order: laws tell it in f32, of which a step of a fiftieth leaves five digits.
+fn modulus_slopes(planned: &PlannedMaterial, plan: &Plan) -> Result<Vec<f64>> {
+    let slope = |i: usize| {
+        let value = planned.parameters[i];
+        let step = 0.02 * value.abs();
+        let is_differentiable = planned.material.parameters[i].flags & abi::BARCHAN_PARAM_DIFFERENTIABLE != 0;
+        if !is_differentiable || step == 0.0 {
+            return Ok(0.0);
+        }
+        let at = |by: f64| {
+            let mut other = planned.clone();
+            other.parameters[i] = value + by * step;
+            other.contact_modulus(&plan.scene)
+        };
+        Ok((8.0 * (at(1.0)? - at(-1.0)?) - (at(2.0)? - at(-2.0)?)) / (12.0 * step))
+    };
+    (0..planned.parameters.len()).map(slope).collect()
+}
+
+/// What goes back to a particle by what it pressed with.
+pub(super) struct Pressed {
+    number: usize,
+    material: usize,
+    position: Vec3,
+    modulus: f64,
+}
+
+/// Bodies that have met nodes.
+pub(super) struct Met {
+    contact: Contact,
+    /// The nodes and particles near bodies, as they were before contact; none where no body was near any.
+    nodes: NodeBatch,
+    /// Their numbers among all nodes, and each particle's among all, with its material.
+    of_nodes: Vec<usize>,
+    of_particles: Vec<(usize, usize)>,
+}
+
+/// The ground that bodies meet.
+pub(super) struct Around<'a> {
+    pub(super) adjoint: &'a CpuAdjoint,
+    /// The particles, and the number of each among all.
+    pub(super) particles: &'a ParticleState,
+    pub(super) numbers: &'a [Vec<u32>],
+    /// What nodes hold, and what they hold at least if they are to move [kg].
+    pub(super) sums: &'a Nodes,
+    pub(super) least: f64,
+}
+
+impl Met {
+    /// Bodies meet the ground, and change the velocities of its nodes.
+    pub(super) fn forwards(
+        around: &Around<'_>,
+        couplings: &mut [Box<dyn Coupling>],
+        step: &Step,
+        velocities: &mut Nodes,
+    ) -> Result<Self> {
+        let mut met = Self {
+            contact: Contact::default(),
+            nodes: NodeBatch::default(),
+            of_nodes: Vec::new(),
+            of_particles: Vec::new(),
+        };
+        if couplings.is_empty() {
+            return Ok(met);
+        }
+        begin_step(couplings, step.time, step.dt)?;
+        let Self { contact, nodes, of_nodes, of_particles } = &mut met;
+        contact.act(couplings, [step.dt, around.adjoint.h], |[near_nodes, near_particles], act| {
+            *of_nodes = around.gather(near_nodes, velocities, nodes);
+            if nodes.is_empty() {
+                return Ok(());
+            }
+            *of_particles = around.gather_particles(near_particles, of_nodes, nodes);
+            let mut met = nodes.clone();
+            act(&mut met)?;
+            for (node, [x, y, z]) in of_nodes.iter().zip(met.velocity) {
+                let velocity = velocities.get_mut(*node);
+                *velocity = [x, y, z, velocity[3]];
+            }
+            Ok(())
+        })?;
+        Ok(met)
+    }
+
+    /// What is owed to nodes goes back through what bodies did to them: `owed` is that to velocities behind contact, and comes back as that before it, with what is owed to
+    /// masses. What is owed to bodies goes to the gradient, and what is owed to particles that pressed is returned.
+    pub(super) fn backwards(
+        &self,
+        couplings: &[Box<dyn Coupling>],
+        step: &Step,
+        owed: &mut Nodes,
+        gradient: &mut Gradient,
+    ) -> Result<Vec<Pressed>> {
+        let velocity = |node: &usize| {
+            let [x, y, z, _] = owed.get(*node);
+            [x, y, z]
+        };
+        let mut near = NearCotangents::of(self.of_nodes.iter().map(velocity).collect(), &self.nodes);
+        let impulses: Vec<Wrench> = gradient.particles.bodies.iter().map(|body| body.impulse).collect();
+        let mut found = Vec::new();
+        if !self.nodes.is_empty() {
+            found = self.contact.meet_back(couplings, step.dt, &self.nodes, &impulses, &mut near)?;
+        }
+        found.resize_with(impulses.len(), Default::default);
+        let bodies = couplings.iter().flat_map(|one| (0..one.wrenches().len()).map(move |body| (one, body)));
+        let told = gradient.particles.bodies.iter_mut().zip(&mut gradient.bodies);
+        for (((coupling, body), found), (owed, told)) in bodies.zip(&found).zip(told) {
+            coupling.move_back(body, step.time, step.dt, found, &mut owed.pose, told);
+        }
+        for ((node, [x, y, z]), mass) in self.of_nodes.iter().zip(near.velocity).zip(near.mass) {
+            *owed.get_mut(*node) = [x, y, z, mass];
+        }
+        let particles = self.of_particles.iter().zip(near.position).zip(near.modulus);
+        let pressed =
+            particles.map(|((&(number, material), position), modulus)| Pressed { number, material, position, modulus });
+        Ok(pressed.filter(|one| one.position != [0.0; 3] || one.modulus != 0.0).collect())
+    }
+}
+
+impl Around<'_> {
+    /// Collects the nodes in the boxes that weigh enough. Returns their numbers.
+    fn gather(&self, boxes: &[Aabb], velocities: &Nodes, batch: &mut NodeBatch) -> Vec<usize> {
+        let (h, periods) = (self.adjoint.h, self.adjoint.bounds.periods());
+        batch.cell_width = h;
+        batch.periods = periods.map(|cells| f64::from(cells) * h);
+        let mut numbers = Vec::new();
+        for (b, key) in self.sums.keys.iter().enumerate() {
+            let first = key.map(|k| k * block::SIDE);
+            if !is_near_block(boxes, first, h, 0.0, periods) {
+                continue;
+            }
+            let node = |n: usize| {
+                let [x, y, z, _] = velocities.get(b * CELLS + n);
+                ([x, y, z], self.sums.get(b * CELLS + n)[3])
+            };
+            gather_block(batch, boxes, first, periods, self.least, node, |n, _, _| numbers.push(b * CELLS + n));
+        }
+        numbers
+    }
+
+    /// Collects the particles in the boxes beside nodes of the batch, whose numbers are given. Returns the number of each, and its material.
+    fn gather_particles(&self, boxes: &[Aabb], of_nodes: &[usize], batch: &mut NodeBatch) -> Vec<(usize, usize)> {
+        let (h, periods) = (self.adjoint.h, self.adjoint.bounds.periods());
+        let in_batch: HashMap<usize, u32> = of_nodes.iter().zip(0..).map(|(node, number)| (*node, number)).collect();
+        let mut boxes_near: HashMap<[i32; 3], Vec<Aabb>> = HashMap::new();
+        let mut found = Vec::new();
+        for (list, numbers) in self.particles.lists.iter().zip(self.numbers) {
+            for (i, number) in numbers.iter().enumerate() {
+                let (cell, position) = (list.cell[i], list.position(i));
+                let key = block::of_cell(cell);
+                let near = boxes_near
+                    .entry(key)
+                    .or_insert_with(|| boxes_near_block(boxes, key.map(|k| k * block::SIDE), h, 1.5 * h, periods));
+                if !near.iter().any(|one| one.contains(position)) {
+                    continue;
+                }
+                let (to_first, place) = NearParticle::between_nodes(list.offset[i]);
+                let cube = self.cube(std::array::from_fn(|d| cell[d] + to_first[d]), &in_batch);
+                if cube == [NodeBatch::NONE; 8] {
+                    continue;
+                }
+                let material = list.material as usize;
+                batch.particles.push(NearParticle {
+                    cube: batch.cubes.len() as u32,
+                    position,
+                    place,
+                    volume: list.volume0[i],
+                    modulus: self.adjoint.ground.moduli[material],
+                });
+                batch.cubes.push(cube);
+                found.push((*number as usize, material));
+            }
+        }
+        found
+    }
+
+    /// The numbers in a batch of the eight nodes from one on, z fastest.
+    fn cube(&self, first: [i32; 3], in_batch: &HashMap<usize, u32>) -> [u32; 8] {
+        let bounds = &self.adjoint.bounds;
+        std::array::from_fn(|n| {
+            let corner = [n / 4, n / 2 % 2, n % 2];
+            let node: [i32; 3] = std::array::from_fn(|d| {
+                let (at, period) = (first[d] + corner[d] as i32, bounds.periods()[d]);
+                if period == 0 { at } else { bounds.min[d] + (at - bounds.min[d]).rem_euclid(period) }
+            });
+            let node = self.sums.find(node).and_then(|node| in_batch.get(&node));
+            node.copied().unwrap_or(NodeBatch::NONE)
+        })
+    }
+}

@@ -1,0 +1,258 @@
+//! Gradients through tools that are driven: by where they are, how they move, and what they felt.
+
+use super::{AWAKE, H, Noise, Vec3, by_number, difference, dot, simulation, weights, within};
+use barchan::gradient::{BodyCotangents, PoseCotangent};
+use barchan::{Cotangents, Precision, Tape, Wrench};
+use barchan_tests::sketch::{Head, block, box_mesh, half, material, tool};
+
+/// How the tool of a case moves.
+#[derive(Clone, Copy, Debug)]
+enum Motion {
+    Velocity,
+    /// Through keyframes, smoothly or not.
+    Path(&'static str),
+}
+
+/// A tool in stirred ground.
+struct Case<'a> {
+    law: (&'a str, &'a str),
+    walls: &'a str,
+    shape: String,
+    contact: &'a str,
+    motion: Motion,
+    position: Vec3,
+}
+
+/// What is changed: all of these by so much along directions of their own.
+#[derive(Clone, Copy, Default)]
+struct By {
+    position: f64,
+    rotation: f64,
+    linear: f64,
+    angular: f64,
+    keyframe: [f64; 4],
+    ground: f64,
+    parameter: f64,
+    gravity: f64,
+    friction: f64,
+}
+
+const STEPS: u32 = 10;
+/// Young's modulus of the ground [Pa].
+const YOUNG: f64 = 2e4;
+const TURN: Vec3 = [0.3, -0.2, 0.25];
+const LINEAR: Vec3 = [0.3, -0.2, -1.1];
+const ANGULAR: Vec3 = [1.5, -2.0, 4.0];
+/// The directions.
+const WAY: Vec3 = [0.6, -0.5, 0.8];
+
+fn along(from: Vec3, by: f64) -> Vec3 {
+    std::array::from_fn(|d| from[d] + by * WAY[d])
+}
+
+fn inner(a: Vec3, b: Vec3) -> f64 {
+    (0..3).map(|d| a[d] * b[d]).sum()
+}
+
+/// The quaternion of a rotation vector.
+fn turned([x, y, z]: Vec3) -> [f64; 4] {
+    let angle = (x * x + y * y + z * z).sqrt();
+    let share = if angle > 0.0 { (0.5 * angle).sin() / angle } else { 0.5 };
+    [(0.5 * angle).cos(), share * x, share * y, share * z]
+}
+
+/// One rotation on top of another.
+fn on_top(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
+    let ([p, x, y, z], [q, u, v, w]) = (a, b);
+    [
+        p * q - x * u - y * v - z * w,
+        p * u + q * x + y * w - z * v,
+        p * v + q * y + z * u - x * w,
+        p * w + q * z + x * v - y * u,
+    ]
+}
+
+impl Case<'_> {
+    fn text(&self, by: &By) -> String {
+        let head = Head { gravity: [0.6, 0.0, -9.81 - by.gravity], ..Head::cells(H, [8, 8, 10], self.walls) };
+        let motion = match self.motion {
+            Motion::Velocity => {
+                let (linear, angular) = (along(LINEAR, by.linear), along(ANGULAR, by.angular));
+                format!("{{ velocity = {{ linear = {linear:?}, angular = {angular:?} }} }}")
+            }
+            Motion::Path(interpolation) => {
+                let at = |k: usize, time: f64, far: f64| {
+                    let on: Vec3 = std::array::from_fn(|d| self.position[d] + far * LINEAR[d]);
+                    let turn = turned(std::array::from_fn(|d| TURN[d] + far * ANGULAR[d]));
+                    let on = along(on, by.keyframe[k]);
+                    format!("{{ time = {time:?}, position = {on:?}, rotation = {turn:?} }}")
+                };
+                let frames = [at(0, 0.0, 0.0), at(1, 3.5e-3, 4e-3), at(2, 7e-3, 6e-3), at(3, 9.2e-3, 1e-2)].join(", ");
+                format!("{{ keyframes = {{ frames = [{frames}], interpolation = \"{interpolation}\" }} }}")
+            }
+        };
+        let rotation = on_top(turned(along([0.0; 3], by.rotation)), turned(TURN));
+        let place = if matches!(self.motion, Motion::Velocity) { along(self.position, by.position) } else { [0.0; 3] };
+        let contact = self.contact.replace("0.3", &format!("{:?}", 0.3 + by.friction));
+        let tool = tool("tool", place, &self.shape, &contact, &motion) + &format!("rotation = {rotation:?}\n");
+        let (law, parameters) = self.law;
+        let parameters = format!("young_modulus = {:?}, {parameters}", YOUNG * (1.0 + by.parameter));
+        let ground = block(law, [0.0; 3], [4.0 * H, 5.0 * H, 3.0 * H], "");
+        head.time("step = 1e-3").with(&[AWAKE.into(), material(law, 1000.0, &parameters), ground, tool])
+    }
+
+    fn tape(&self, by: &By) -> Tape {
+        let mut sim = simulation(&self.text(by), Precision::F64);
+        let mut state = sim.particles();
+        let mut noise = Noise::new(9);
+        for (l, i) in by_number(&state) {
+            let list = &mut state.lists[l];
+            let [v, way]: [Vec3; 2] = [0; 2].map(|_| std::array::from_fn(|_| noise.draw()));
+            list.velocity[i] = std::array::from_fn(|d| 0.4 * v[d] + by.ground * way[d]);
+        }
+        sim.set_particles(state).unwrap_or_else(|e| panic!("{e}"));
+        sim.record(&barchan::registry(), 1e-3 * f64::from(STEPS)).unwrap_or_else(|e| panic!("{e}"))
+    }
+
+    /// What a loss looks at: particles, where the tool ends, and what it felt.
+    fn loss(tape: &Tape) -> (f64, Cotangents) {
+        let mut all = weights(tape.end().id.len());
+        let pose = PoseCotangent { position: [0.3, -0.2, 0.5], rotation: [0.0; 3] };
+        let impulse = Wrench { force: [0.4, -0.3, 0.6], torque: [2.0, 3.0, -4.0] };
+        all.bodies = vec![BodyCotangents { pose, impulse }];
+        let (end, felt) = (tape.end(), tape.impulses()[0]);
+        let loss = dot(&end.position, &all.position)
+            + dot(&end.velocity, &all.velocity)
+            + inner(end.bodies[0].position, pose.position)
+            + inner(felt.force, impulse.force)
+            + inner(felt.torque, impulse.torque);
+        (loss, all)
+    }
+
+    /// Compares a gradient with differences of runs.
+    fn compare(&self) {
+        let tape = self.tape(&By::default());
+        assert_eq!(tape.len(), STEPS as usize);
+        let felt = tape.impulses()[0].force;
+        assert!(inner(felt, felt) > 1e-6, "{}: the tool touches nothing", self.shape);
+        let (_, loss) = Self::loss(&tape);
+        let found = tape.pull_back(loss).unwrap_or_else(|e| panic!("{e}"));
+        let mut noise = Noise::new(9);
+        let mut ways = Vec::new();
+        for _ in 0..tape.end().id.len() {
+            (0..3).for_each(|_| _ = noise.draw());
+            ways.push(std::array::from_fn(|_| noise.draw()));
+        }
+        let run = |by: By| Self::loss(&self.tape(&by)).0;
+        let (pose, told) = (found.particles.bodies[0].pose, &found.bodies[0]);
+        let young = found.parameters[0][0] * YOUNG;
+        let mut compared = vec![
+            (
+                "ground",
+                dot(&found.particles.velocity, &ways),
+                difference(1e-6, |ground| run(By { ground, ..By::default() })),
+                2e-6,
+            ),
+            ("gravity", -found.gravity[2], difference(1e-4, |gravity| run(By { gravity, ..By::default() })), 2e-6),
+            // Laws tell their stiffness in f32, so that differences need long steps.
+            ("young_modulus", young, difference(3e-4, |parameter| run(By { parameter, ..By::default() })), 2e-3),
+        ];
+        if self.contact == RUBBING {
+            let run = difference(1e-5, |friction| run(By { friction, ..By::default() }));
+            compared.push(("friction", told.friction, run, 2e-6));
+        }
+        match self.motion {
+            Motion::Velocity => compared.extend([
+                (
+                    "position",
+                    inner(pose.position, WAY),
+                    difference(1e-7, |position| run(By { position, ..By::default() })),
+                    2e-6,
+                ),
+                (
+                    "rotation",
+                    inner(pose.rotation, WAY),
+                    difference(1e-6, |rotation| run(By { rotation, ..By::default() })),
+                    2e-6,
+                ),
+                (
+                    "linear",
+                    inner(told.linear, WAY),
+                    difference(1e-5, |linear| run(By { linear, ..By::default() })),
+                    2e-6,
+                ),
+                (
+                    "angular",
+                    inner(told.angular, WAY),
+                    difference(1e-5, |angular| run(By { angular, ..By::default() })),
+                    2e-6,
+                ),
+            ]),
+            Motion::Path(_) => {
+                assert_eq!((pose, told.keyframes.len()), (PoseCotangent::default(), 4));
+                compared.extend((0..4).map(|k| {
+                    let moved = |by: f64| {
+                        let mut all = By::default();
+                        all.keyframe[k] = by;
+                        run(all)
+                    };
+                    ("keyframe", inner(told.keyframes[k], WAY), difference(1e-7, moved), 2e-6)
+                }));
+            }
+        }
+        for (what, given, expected, tolerance) in compared {
+            let name = format!("{} {} {:?} {what}: {given:.9e} {expected:.9e}", self.law.0, self.shape, self.motion);
+            within(&name, (given - expected).abs() / expected.abs().max(1e-3), tolerance);
+        }
+    }
+}
+
+const JELLY: (&str, &str) = ("neo_hookean", "poisson_ratio = 0.3");
+const SAND: (&str, &str) = ("sand", "poisson_ratio = 0.3, friction_angle = 0.6");
+const RUBBING: &str = "{ coulomb = { friction = 0.3 } }";
+const FLOOR: &str = "z_min = \"stick\"\n";
+
+/// Physics: gradients are derivatives, by where the tool is, how it turns and moves, by the ground, and of what the tool felt. Of every shape that is exact or sampled, thick and thin,
+/// and every contact.
+#[test]
+fn gradients_go_through_driven_tools() {
+    let bowl = "height_field = { min = [-0.08, -0.08], max = [0.08, 0.08], bottom = -0.06, heights = [[0.02, 0.05, 0.03], [0.04, 0.0, 0.03], [0.03, 0.05, 0.06]] }";
+    let cases = [
+        ("sphere = { radius = 0.07 }".to_owned(), RUBBING, JELLY),
+        (half([0.08, 0.06, 0.07]), "\"stick\"", JELLY),
+        (half([0.08, 0.09, 0.07]), RUBBING, SAND),
+        // Thin, with a core that holds both ways.
+        (half([0.085, 0.012, 0.08]), RUBBING, SAND),
+        ("cylinder = { radius = 0.07, half_height = 0.06 }".to_owned(), "\"slip\"", JELLY),
+        ("capsule = { radius = 0.05, half_height = 0.05 }".to_owned(), RUBBING, SAND),
+        (bowl.to_owned(), RUBBING, JELLY),
+    ];
+    for (shape, contact, law) in cases {
+        let position = [2.1 * H, 2.4 * H, 3.6 * H];
+        Case { law, walls: FLOOR, shape, contact, motion: Motion::Velocity, position }.compare();
+    }
+}
+
+/// Likewise by keyframes, through which a path is straight or smooth.
+#[test]
+fn gradients_go_to_keyframes() {
+    for interpolation in ["linear", "smooth"] {
+        let shape = "sphere = { radius = 0.07 }".to_owned();
+        let position = [2.1 * H, 2.4 * H, 3.6 * H];
+        let motion = Motion::Path(interpolation);
+        Case { law: JELLY, walls: FLOOR, shape, contact: RUBBING, motion, position }.compare();
+    }
+}
+
+/// Likewise where ends are joined and the tool reaches across them, beside a wall that lets go and one that slips; and of a mesh.
+#[test]
+fn gradients_of_tools_go_through_walls_and_joined_ends() {
+    let walls =
+        "z_min = { separate = { friction = 0.3 } }\nx_min = \"slip\"\ny_min = \"periodic\"\ny_max = \"periodic\"\n";
+    let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
+    let mesh = format!("mesh = {{ file = {:?} }}", box_mesh(folder.path(), [0.08, 0.06, 0.07]));
+    for shape in ["sphere = { radius = 0.09 }".to_owned(), half([0.07, 0.06, 0.08]), mesh] {
+        let position = [1.0 * H, 0.3 * H, 2.7 * H];
+        Case { law: JELLY, walls, shape, contact: RUBBING, motion: Motion::Velocity, position }.compare();
+    }
+}
