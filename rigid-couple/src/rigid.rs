@@ -1,5 +1,6 @@
 //! The coupling "rigid": a scene's tools and free bodies.
 
+mod adjoint;
 pub(crate) mod body;
 
 use crate::grip::{self, REACH};
@@ -14,9 +15,9 @@ use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{
     Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Kept, Leashes, Moved, Placed,
 };
-use barchan_core::gradient::{BodyGradient, PoseCotangent};
+use barchan_core::gradient::{BodyCotangents, BodyGradient};
 use barchan_core::plan::TOOL_COUPLING;
-use barchan_core::scene::{INSTANT, Motion};
+use barchan_core::scene::{INSTANT, Motion, Tool};
 use barchan_core::{BodyState, Command, Coupling, Error, NodeBatch, Result, Scene, Surface, Vec3, Wrench};
 use body::{Body, Guided, Mover, State, vector, vector6};
 use glam::{DQuat, DVec3};
@@ -396,20 +397,14 @@ impl Coupling for Rigid {
     }
 
     fn check_adjoint(&self) -> Result<()> {
-        for (body, tool) in self.bodies.iter().zip(&self.scene.tool) {
-            let (what, mend) = match body.mover {
-                Mover::Fixed | Mover::Path(_) | Mover::Velocity if tool.from <= 0.0 && tool.until.is_none() => continue,
-                Mover::Fixed | Mover::Path(_) | Mover::Velocity => {
-                    ("gradients do not go through tools that appear or vanish", "leave out from and until")
-                }
-                Mover::Free { .. } | Mover::Servo(_) => (
-                    "gradients do not go through bodies that the ground moves",
-                    "give it a motion of \"fixed\", velocity or keyframes",
-                ),
-            };
-            return Err(Refusal::new(what, mend).at(&format!("tool '{}'", body.name)));
+        let late = |tool: &&Tool| tool.from > 0.0 || tool.until.is_some();
+        match self.scene.tool.iter().find(late) {
+            Some(tool) => {
+                let what = "gradients do not go through tools that appear or vanish";
+                Err(Refusal::new(what, "leave out from and until").at(&format!("tool '{}'", tool.name)))
+            }
+            None => Ok(()),
         }
-        Ok(())
     }
 
     fn touch_back(
@@ -426,16 +421,33 @@ impl Coupling for Rigid {
         true
     }
 
-    fn move_back(
+    fn advance_back(&mut self, body: usize, dt: f64, owed: &mut BodyCotangents) -> Result<Twist> {
+        let before = self.bodies[body].state;
+        let mut after = before.pose;
+        if self.bodies[body].is_free() {
+            self.move_free_body(dt)?;
+            let state = std::mem::replace(&mut self.bodies[body].state, before);
+            after = state.pose;
+            let change = (state.twist.linear - before.twist.linear).length();
+            if change > 1e-9 * before.twist.linear.length() {
+                let what = "gradients: a wall of the world has pushed it, and they do not go through that";
+                let refusal = Refusal::new(what, "record a shorter time, or make the world larger");
+                return Err(refusal.at(&format!("tool '{}'", self.bodies[body].name)));
+            }
+        }
+        Ok(self.bodies[body].advance_back(dt, &after, owed))
+    }
+
+    fn begin_back(
         &self,
         body: usize,
         time: f64,
         dt: f64,
         step: &BodyInStep,
-        pose: &mut PoseCotangent,
+        owed: &mut BodyCotangents,
         told: &mut BodyGradient,
-    ) {
-        self.bodies[body].move_back([time, dt], step, pose, told);
+    ) -> Vec3 {
+        self.bodies[body].begin_back([time, dt], step, &self.wrenches[body], owed, told).to_array()
     }
 
     fn twist(&self, body: usize) -> Twist {

@@ -2,7 +2,7 @@
 
 use crate::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents, no_adjoint};
 use crate::contact::{Reaction, System, Touch, Twist};
-use crate::gradient::{BodyGradient, PoseCotangent};
+use crate::gradient::{BodyCotangents, BodyGradient};
 use crate::sense::RobotState;
 use crate::surface::Surface;
 use crate::{Result, Vec3};
@@ -661,14 +661,14 @@ pub trait Coupling: Send + Sync {
     fn touch(&mut self, body: usize, dt: f64, nodes: &NodeBatch, touches: &mut Vec<Touch>) {
         let _ = (body, dt, nodes, touches);
     }
-    /// Can gradients go back through what its bodies do, by [`touch_back`](Self::touch_back) and [`move_back`](Self::move_back)?
+    /// Can gradients go back through what its bodies do, by [`advance_back`](Self::advance_back), [`touch_back`](Self::touch_back) and [`begin_back`](Self::begin_back)?
     ///
     /// # Errors
     /// What they cannot go through, and what mends it.
     fn check_adjoint(&self) -> Result<()> {
         Err(no_adjoint(self.name()))
     }
-    /// The adjoint of [`touch`](Self::touch) of a driven body in the step that has begun: from what is owed to its grips, one for each of its touches, to what is owed to nodes' masses
+    /// The adjoint of [`touch`](Self::touch) in the step that has begun: from what is owed to its grips, one for each of its touches, to what is owed to nodes' masses
     /// and to particles, which is added to `near`, and to the body's place, which is added to `owed`. Returns whether it has one.
     fn touch_back(
         &self,
@@ -682,18 +682,29 @@ pub trait Coupling: Send + Sync {
         let _ = (body, dt, nodes, touches, near, owed);
         false
     }
-    /// How a driven body moves in the step from `time` that takes `dt` [s], backwards: `step` is what contact in it owes to the body, `pose` goes from what is owed to where the body is
-    /// behind the step to that before it, and `told` gets what is owed to what the body is told.
-    fn move_back(
+    /// The adjoint of [`after_step`](Self::after_step), where contact has found the twists of a step of `dt` [s]: from what is owed to a body's state behind the step to what is owed to
+    /// where it was before it, and to its twist, which is returned. A driven body's own motion is [`begin_back`](Self::begin_back)'s.
+    ///
+    /// # Errors
+    /// What gradients do not go through, and has come in this step.
+    fn advance_back(&mut self, body: usize, dt: f64, owed: &mut BodyCotangents) -> Result<Twist> {
+        let _ = (body, dt, owed);
+        Ok(Twist::default())
+    }
+    /// The adjoint of [`before_step`](Self::before_step), and of a driven body's motion over the step from `time` that takes `dt` [s]. `step` is what is owed to the body in it: of one that
+    /// answers, its twist as it would be without contact. `owed` gets what is owed to its state before the step, and `told` what is owed to what it is told. Returns what is owed to the
+    /// gravity of the step [s²/m].
+    fn begin_back(
         &self,
         body: usize,
         time: f64,
         dt: f64,
         step: &BodyInStep,
-        pose: &mut PoseCotangent,
+        owed: &mut BodyCotangents,
         told: &mut BodyGradient,
-    ) {
-        let _ = (body, time, dt, step, pose, told);
+    ) -> Vec3 {
+        let _ = (body, time, dt, step, owed, told);
+        [0.0; 3]
     }
     /// The twist of a body's reference point: as it is given over this step if the body is driven, else as it would be without contact.
     fn twist(&self, body: usize) -> Twist {

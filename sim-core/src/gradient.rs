@@ -39,6 +39,10 @@ pub struct Cotangents {
 pub struct BodyCotangents {
     /// By where it is.
     pub pose: PoseCotangent,
+    /// By the velocity of its reference point, if it answers the ground's impulses [s/m].
+    pub velocity: Vec3,
+    /// By its angular velocity, likewise [s/rad].
+    pub angular_velocity: Vec3,
     /// By the impulse of the ground on it over the tape [1/(N s)], and the angular impulse about its reference point [1/(N m s)]. At the start of a tape it is 0.
     pub impulse: Wrench,
 }
@@ -46,13 +50,13 @@ pub struct BodyCotangents {
 /// Derivatives of a loss by where a body is.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PoseCotangent {
-    /// By its reference point: the origin of a driven tool's frame [1/m].
+    /// By its reference point: its centre of mass if it is free, else its frame's origin [1/m].
     pub position: Vec3,
     /// By its rotation, as a small turn about the world's axes on top of it [1/rad].
     pub rotation: Vec3,
 }
 
-/// Derivatives of a loss by what a driven body was told over a tape.
+/// Derivatives of a loss by what a body was told over a tape, and by what it is.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct BodyGradient {
     /// By its velocity, if it is driven by velocity [s/m].
@@ -63,6 +67,10 @@ pub struct BodyGradient {
     pub keyframes: Vec<Vec3>,
     /// By its coefficient of friction: 0 for contact that knows none.
     pub friction: f64,
+    /// By its mass, with which its inertia grows, if it answers the ground's impulses [1/kg].
+    pub mass: f64,
+    /// By the whole force of its servo [1/N], with the mass that follows it where the scene gives none.
+    pub force: f64,
 }
 
 impl Cotangents {
@@ -111,6 +119,8 @@ pub struct BodyPose {
     pub position: Vec3,
     /// Its orientation quaternion (w, x, y, z).
     pub rotation: [f64; 4],
+    /// Velocity of its reference point [m/s], and angular velocity [rad/s], if it answers the ground's impulses; else 0.
+    pub twist: [Vec3; 2],
 }
 
 /// Where particles are and how fast, in the order of their numbers, and where bodies of couplings are.
@@ -179,7 +189,11 @@ pub fn by_number(particles: &ParticleState) -> Vec<(usize, usize)> {
 
 fn moment(particles: &ParticleState, simulation: &Simulation) -> Moment {
     let bodies = simulation.bodies().into_iter();
-    let bodies = bodies.map(|body| BodyPose { name: body.name, position: body.position, rotation: body.rotation });
+    let bodies = bodies.map(|body| {
+        let answers = body.mass.is_finite();
+        let twist = if answers { [body.velocity, body.angular_velocity] } else { [[0.0; 3]; 2] };
+        BodyPose { name: body.name, position: body.position, rotation: body.rotation, twist }
+    });
     let mut moment = Moment { time: simulation.time(), bodies: bodies.collect(), ..Moment::default() };
     for (l, i) in by_number(particles) {
         let list = &particles.lists[l];
@@ -378,8 +392,8 @@ impl Tape {
             return Err(refused("cotangents.bodies", &what, "give one for each, in the scene's order, or none"));
         }
         let of_bodies = bodies.iter().flat_map(|one| {
-            let BodyCotangents { pose, impulse } = one;
-            [&pose.position, &pose.rotation, &impulse.force, &impulse.torque]
+            let BodyCotangents { pose, velocity, angular_velocity, impulse } = one;
+            [&pose.position, &pose.rotation, velocity, angular_velocity, &impulse.force, &impulse.torque]
         });
         let rest = affine.iter().chain(strain).flatten().chain(state.iter().flatten()).chain(of_bodies.flatten());
         if own.chain(rest).any(|x| !x.is_finite()) {

@@ -807,7 +807,11 @@ impl Servo {
     }
     /// The force at a time [N].
     pub fn force_at(&self, time: f64) -> f64 {
-        self.whole() * if time < self.ramp { time / self.ramp } else { 1.0 }
+        self.whole() * self.share_at(time)
+    }
+    /// How much of its force acts at a time.
+    pub fn share_at(&self, time: f64) -> f64 {
+        if time < self.ramp { time / self.ramp } else { 1.0 }
     }
     /// The mass that it moves [kg].
     pub fn inertia(&self) -> f64 {

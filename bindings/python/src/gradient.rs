@@ -79,11 +79,13 @@ fn of_bodies(given: &Bound<'_, PyDict>, end: &Moment, to: &mut [BodyCotangents])
             let sum = match what.as_str() {
                 "position" => &mut to.pose.position,
                 "rotation" => &mut to.pose.rotation,
+                "velocity" => &mut to.velocity,
+                "angular_velocity" => &mut to.angular_velocity,
                 "impulse" => &mut to.impulse.force,
                 "angular_impulse" => &mut to.impulse.torque,
                 _ => {
                     return Err(PyValueError::new_err(format!(
-                        "bodies: '{name}' has no derivative by '{what}'; give position, rotation, impulse or angular_impulse"
+                        "bodies: '{name}' has no derivative by '{what}'; give position, rotation, velocity, angular_velocity, impulse or angular_impulse"
                     )));
                 }
             };
@@ -127,7 +129,7 @@ impl Tape {
         PyArray1::from_vec(py, self.tape.lengths())
     }
 
-    /// Impulse of the ground on each of the scene's tools over its steps [N s], and angular impulse about the origin of the tool's frame [N m s], by name: `Impulse` records.
+    /// Impulse of the ground on each of the scene's tools over its steps [N s], and angular impulse about its position [N m s], by name: `Impulse` records.
     #[getter]
     fn impulses<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let all = PyDict::new(py);
@@ -142,8 +144,9 @@ impl Tape {
     }
 
     /// What a loss owes to what was at the start and throughout: a `Gradient`. Its derivatives by the particles at the end are given, as arrays of the shape (n, 3), one row for
-    /// each particle in the order of `end`: by `position` [1/m] and by `velocity` [s/m]. What is left out is zero. `bodies` has derivatives by tools: a dict by their names, of dicts of three numbers by `position` of their frame's origin [1/m] and
-    /// `rotation`, as a small turn about the world's axes [1/rad], both at the end, and by `impulse` [1/(N s)] and `angular_impulse` [1/(N m s)], as in `impulses`. `then` is the gradient of the tape that follows on this one, if the loss looks
+    /// each particle in the order of `end`: by `position` [1/m] and by `velocity` [s/m]. What is left out is zero. `bodies` has derivatives by tools: a dict by their names, of dicts of three numbers. At the end there are `position` [1/m], that of `Simulation.bodies`, `rotation`, as a small turn
+    /// about the world's axes [1/rad], and, of tools that the ground moves, `velocity` [s/m] and `angular_velocity` [s/rad]; over the tape there are `impulse` [1/(N s)] and `angular_impulse`
+    /// [1/(N m s)], as in `impulses`. `then` is the gradient of the tape that follows on this one, if the loss looks
     /// further.
     ///
     /// It takes all steps twice again, and goes back through each, which takes some fifty times as long as a step. Ctrl-C ends it.
@@ -237,6 +240,8 @@ impl Gradient {
             let both = own.keyframes.as_flattened_mut().iter_mut().zip(other.keyframes.as_flattened());
             both.for_each(|(sum, more)| *sum += more);
             own.friction += other.friction;
+            own.mass += other.mass;
+            own.force += other.force;
         }
     }
 }
@@ -279,20 +284,26 @@ impl Gradient {
         Ok(all)
     }
 
-    /// By the scene's tools, by name: `BodyGradient` records. What a tool was told is this tape's alone; its keyframes and its friction are of all that follow (`then`) as well.
+    /// By the scene's tools, by name: `BodyGradient` records. The velocities that a tool was told are this tape's alone; its keyframes, friction, mass and force are of all that follow (`then`) as well.
     #[getter]
     fn bodies<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let all = PyDict::new(py);
         let both = self.gradient.particles.bodies.iter().zip(&self.gradient.bodies);
-        for (body, (BodyCotangents { pose, .. }, told)) in self.start.bodies.iter().zip(both) {
-            let BodyGradient { linear, angular, keyframes, friction } = told;
+        for (body, (BodyCotangents { pose, velocity, angular_velocity, .. }, told)) in
+            self.start.bodies.iter().zip(both)
+        {
+            let BodyGradient { linear, angular, keyframes, friction, mass, force } = told;
             let fields = [
                 ("position", records::triple(py, pose.position)),
                 ("rotation", records::triple(py, pose.rotation)),
+                ("velocity", records::triple(py, *velocity)),
+                ("angular_velocity", records::triple(py, *angular_velocity)),
                 ("linear", records::triple(py, *linear)),
                 ("angular", records::triple(py, *angular)),
                 ("keyframes", records::rows(py, keyframes.clone())?),
                 ("friction", friction.into_bound_py_any(py)?),
+                ("mass", mass.into_bound_py_any(py)?),
+                ("force", force.into_bound_py_any(py)?),
             ];
             all.set_item(&body.name, records::record(py, "BodyGradient", &fields)?)?;
         }

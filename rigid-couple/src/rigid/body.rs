@@ -2,15 +2,13 @@
 
 use crate::Refusal;
 use crate::mass::Filling;
-use crate::motion::{KeyframePath, Pose, rotation_from, turn_slopes};
+use crate::motion::{KeyframePath, Pose, rotation_from};
 use crate::sdf::Sdf;
-use barchan_core::contact::adjoint::BodyInStep;
 use barchan_core::contact::{System, Twist};
-use barchan_core::gradient::{BodyGradient, PoseCotangent};
 use barchan_core::scene::{Contact, Motion, Servo, Tool};
 use barchan_core::surface::Mesh;
 use barchan_core::{BodyState, Error, Placement, Result, Scene, Vec3};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{DMat3, DVec3};
 use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, OnceLock};
@@ -217,44 +215,6 @@ impl Body {
             Mover::Velocity => Some(self.state.pose.advanced(&self.state.command, dt)),
             Mover::Free { .. } | Mover::Servo(_) => None,
         }
-    }
-
-    /// A driven step from `time` over `dt` [s], backwards, as [`Coupling::move_back`](barchan_core::Coupling::move_back) says.
-    pub(super) fn move_back(
-        &self,
-        [time, dt]: [f64; 2],
-        step: &BodyInStep,
-        pose: &mut PoseCotangent,
-        told: &mut BodyGradient,
-    ) {
-        told.friction += step.friction;
-        let [mut position, mut rotation] = [pose.position, pose.rotation].map(DVec3::from_array);
-        match &self.mover {
-            Mover::Path(path) => {
-                let mut frames: Vec<DVec3> = told.keyframes.iter().copied().map(DVec3::from_array).collect();
-                frames.resize(path.len(), DVec3::ZERO);
-                // Poses are the path's, and the velocity is the way between them over dt.
-                let way = step.twist.linear / dt;
-                path.position_back(time, step.position - way, &mut frames);
-                path.position_back(time + dt, position + way, &mut frames);
-                told.keyframes = frames.into_iter().map(|frame| frame.to_array()).collect();
-                *pose = PoseCotangent::default();
-                return;
-            }
-            Mover::Velocity => {
-                let turn = self.state.command.angular * dt;
-                let of_turn = turn_slopes(turn).transpose() * rotation * dt;
-                for d in 0..3 {
-                    told.linear[d] += step.twist.linear[d] + dt * position[d];
-                    told.angular[d] += step.twist.angular[d] + of_turn[d];
-                }
-                rotation = DQuat::from_scaled_axis(turn).conjugate() * rotation;
-            }
-            Mover::Fixed | Mover::Free { .. } | Mover::Servo(_) => {}
-        }
-        position += step.position;
-        rotation += step.rotation;
-        *pose = PoseCotangent { position: position.to_array(), rotation: rotation.to_array() };
     }
 
     /// Takes up in its velocity what acts on it in a step of `dt` from `time` [s] besides contact, if it is not driven.

@@ -1,6 +1,6 @@
-//! Contact backwards: from what a loss owes to nodes behind contact to what it owes to nodes before it, to the particles that press, and to bodies that are driven.
+//! Contact backwards: from what a loss owes to nodes behind contact to what it owes to nodes before it, to the particles that press, and to the bodies.
 
-use super::{Contact, Grip, Regime, Touch, Twist};
+use super::{Contact, Grip, Regime, System, Touch, Twist, add_outer, wrench_of};
 use crate::coupling::{Coupling, NodeBatch, Wrench};
 use crate::{Error, Result, Vec3};
 use glam::DVec3;
@@ -102,8 +102,8 @@ impl Grip {
 }
 
 impl Contact {
-    /// The adjoint of [`meet`](Self::meet), which has come before, where all bodies are driven. `nodes` are those that it was given, with their velocities before contact, `impulses`
-    /// what is owed to the impulse on each body in this step [1/(N s), 1/(N m s)]. Returns what is owed to each body.
+    /// The adjoint of [`meet`](Self::meet), which has come before. `nodes` are those that it was given, with their velocities before contact, `impulses` what is owed to the impulse on each
+    /// body in this step [1/(N s), 1/(N m s)], and `twists` what is owed to its twist behind contact. Returns what is owed to each body; of those that answer, to the twist without contact.
     ///
     /// # Errors
     /// [`Error::Missing`] if a coupling [has no adjoint](Coupling::check_adjoint).
@@ -112,21 +112,65 @@ impl Contact {
         couplings: &[Box<dyn Coupling>],
         dt: f64,
         nodes: &NodeBatch,
-        impulses: &[Wrench],
+        (impulses, twists): (&[Wrench], &[Twist]),
         near: &mut NearCotangents,
     ) -> Result<Vec<BodyInStep>> {
         let bodies = couplings.iter().flat_map(|one| (0..one.wrenches().len()).map(move |b| (&**one, b)));
-        let of_body = |(((coupling, b), touches), impulse): ((_, &Vec<Touch>), _)| {
+        let of_body = |((((coupling, b), touches), impulse), twist): (((_, &Vec<Touch>), &Wrench), &Twist)| {
             let (coupling, b): (&dyn Coupling, usize) = (coupling, b);
-            let mut body = BodyInStep::default();
-            let grips = drive_back(touches, nodes, &coupling.twist(b), impulse, near, &mut body);
-            if touches.is_empty() || coupling.touch_back(b, dt, nodes, (touches, &grips), near, &mut body) {
+            let mut body = BodyInStep { twist: *twist, ..BodyInStep::default() };
+            if touches.is_empty() {
+                return Ok(body);
+            }
+            let at = coupling.twist(b);
+            let mut impulse = *impulse;
+            if let Some(group) = coupling.groups().into_iter().find(|group| group.bodies.contains(&b)) {
+                let balance = (group.bodies.len() == 1)
+                    .then(|| balance_back(coupling, b, (touches, nodes), &at, (&impulse, twist), near))
+                    .flatten()
+                    .ok_or_else(|| no_adjoint(coupling.name()))?;
+                for d in 0..3 {
+                    impulse.force[d] += balance.linear[d];
+                    impulse.torque[d] += balance.angular[d];
+                }
+            }
+            let grips = drive_back(touches, nodes, &at, &impulse, near, &mut body);
+            if coupling.touch_back(b, dt, nodes, (touches, &grips), near, &mut body) {
                 return Ok(body);
             }
             Err(no_adjoint(coupling.name()))
         };
-        bodies.zip(&self.touches).zip(impulses).map(of_body).collect()
+        bodies.zip(&self.touches).zip(impulses).zip(twists).map(of_body).collect()
     }
+}
+
+/// What is owed to the balance M (V_f − V) + J(V) = 0 by which a body that answers has found its twist V: λ with (M + A)ᵀ λ = what is owed to V, where A = −dJ/dV. What nodes gave to the body is then
+/// owed λ besides.
+fn balance_back(
+    coupling: &dyn Coupling,
+    body: usize,
+    (touches, nodes): (&[Touch], &NodeBatch),
+    at: &Twist,
+    (impulse, twist): (&Wrench, &Twist),
+    near: &NearCotangents,
+) -> Option<Twist> {
+    let mut owed = BodyInStep { twist: *twist, ..BodyInStep::default() };
+    drive_back(touches, nodes, at, impulse, &mut near.clone(), &mut owed);
+    // Aᵀ = Σ Gᵀ m Dᵀ G, with D what is taken of a change of a node's velocity.
+    let mut matrix = [[0.0; 6]; 6];
+    for touch in touches {
+        let u = DVec3::from_array(nodes.velocity[touch.node]) - at.at(touch.arm);
+        for axis in DVec3::AXES {
+            let taken = axis - touch.grip.kept_back(u, axis).0;
+            let [rows, columns] = [taken, axis].map(|d| wrench_of(d, touch.arm));
+            add_outer(&mut matrix, nodes.mass[touch.node], &rows, &columns);
+        }
+    }
+    let Twist { linear, angular } = owed.twist;
+    let impulse = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+    let system = System { matrix, impulse, symmetric: false, is_secant: false };
+    // At the twist that it has, the body itself is in balance.
+    coupling.answer(body..body + 1, &[*at], &[system])?.pop()
 }
 
 /// What is said of a coupling through which gradients cannot go back.
@@ -137,7 +181,7 @@ pub(crate) fn no_adjoint(name: &str) -> Error {
         origin: "registered".to_owned(),
         what: "an adjoint of what its bodies do to the ground".to_owned(),
         why: "gradients go back through all contact".to_owned(),
-        mend: "leave its bodies out: gradients go through tools that stay or are driven, not yet through robots and other couplings"
+        mend: "leave its bodies out: gradients go through tools, not yet through robots, free tools that may touch other tools, and other couplings"
             .to_owned(),
     }
 }

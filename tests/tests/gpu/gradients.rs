@@ -88,35 +88,38 @@ fn are_alike(law: &str, device: &Gradient, host: &Gradient) {
     }
 }
 
-/// Through tools that are driven: the device presses as the CPU does, and what the loss owes to the tool's speed and place and to the ground is what the CPU says.
+/// Through tools, one that is driven and one that falls freely and spins: the device presses as the CPU does, and what the loss owes to the tool's speed and place and to the ground is what
+/// the CPU says.
 #[test]
 fn gradients_go_through_tools_on_a_device() {
-    let plate = tool(
-        "plate",
-        [0.1, 0.1, 0.3],
-        &half([0.12, 0.08, 0.1]),
-        "{ coulomb = { friction = 0.4 } }",
-        &driven([0.1, 0.0, -1.0]),
-    );
-    let text = spreads("neo_hookean", "young_modulus = 2e4") + &plate;
-    let [host, device] = [cpu(&text), gpu(&text)].map(|mut sim| {
-        let tape = sim.record(&barchan::registry(), 0.06).unwrap_or_else(|e| panic!("{e}"));
-        let mut loss = Cotangents::zero(tape.end().id.len());
-        loss.position.iter_mut().for_each(|of| of[0] = 1.0 / tape.end().id.len() as f64);
-        loss.bodies.resize_with(1, Default::default);
-        loss.bodies[0].impulse.force = [0.0, 0.0, 1e-2];
-        (tape.impulses()[0], tape.pull_back(loss).unwrap_or_else(|e| panic!("{e}")))
-    });
-    let (felt, of_host) = &host;
-    assert!(felt.force[2] > 0.05, "the plate presses: {:?}", felt.force);
-    within("impulse", (device.0.force[2] / felt.force[2] - 1.0).abs(), 1e-3);
-    are_alike("tool", &device.1, of_host);
-    for (what, found, expected) in [
-        ("speed", device.1.bodies[0].linear, of_host.bodies[0].linear),
-        ("place", device.1.particles.bodies[0].pose.position, of_host.particles.bodies[0].pose.position),
-    ] {
-        let size = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
-        let apart = (0..3).map(|d| (found[d] - expected[d]).abs()).fold(0.0, f64::max);
-        within(what, apart / size, 1e-2);
+    let free = "{ free = { mass = 2.0, linear = [0.1, 0.0, -1.0], angular = [0.0, 2.0, 1.0] } }";
+    for (name, motion) in [("driven", driven([0.1, 0.0, -1.0])), ("free", free.to_owned())] {
+        let shape = half([0.12, 0.08, 0.1]);
+        let plate = tool("plate", [0.2, 0.1, 0.3], &shape, "{ coulomb = { friction = 0.4 } }", &motion);
+        let text = spreads("neo_hookean", "young_modulus = 2e4") + &plate;
+        let [host, device] = [cpu(&text), gpu(&text)].map(|mut sim| {
+            let tape = sim.record(&barchan::registry(), 0.06).unwrap_or_else(|e| panic!("{e}"));
+            let mut loss = Cotangents::zero(tape.end().id.len());
+            loss.position.iter_mut().for_each(|of| of[0] = 1.0 / tape.end().id.len() as f64);
+            loss.bodies.resize_with(1, Default::default);
+            loss.bodies[0].impulse.force = [0.0, 0.0, 1e-2];
+            (tape.impulses()[0], tape.pull_back(loss).unwrap_or_else(|e| panic!("{e}")))
+        });
+        let (felt, of_host) = &host;
+        assert!(felt.force[2] > 0.05, "{name}: it presses: {:?}", felt.force);
+        within(&format!("{name}: impulse"), (device.0.force[2] / felt.force[2] - 1.0).abs(), 1e-3);
+        are_alike(name, &device.1, of_host);
+        let speed = |gradient: &Gradient| match name {
+            "driven" => gradient.bodies[0].linear,
+            _ => gradient.particles.bodies[0].velocity,
+        };
+        let place = |gradient: &Gradient| gradient.particles.bodies[0].pose.position;
+        for (what, found, expected) in
+            [("speed", speed(&device.1), speed(of_host)), ("place", place(&device.1), place(of_host))]
+        {
+            let size = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+            let apart = (0..3).map(|d| (found[d] - expected[d]).abs()).fold(0.0, f64::max);
+            within(&format!("{name}: {what}"), apart / size, 1e-2);
+        }
     }
 }

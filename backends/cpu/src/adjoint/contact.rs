@@ -3,8 +3,8 @@
 use super::{CpuAdjoint, Nodes, Step};
 use barchan_abi as abi;
 use barchan_core::contact::Contact;
-use barchan_core::contact::adjoint::NearCotangents;
-use barchan_core::coupling::begin_step;
+use barchan_core::contact::adjoint::{BodyInStep, NearCotangents};
+use barchan_core::coupling::{Moved, begin_step};
 use barchan_core::gradient::Gradient;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, ParticleState, Plan, Result, Vec3, Wrench};
@@ -106,6 +106,8 @@ impl Met {
         if couplings.is_empty() {
             return Ok(met);
         }
+        // A device may have moved them.
+        couplings.iter_mut().for_each(|coupling| coupling.move_on_device(Moved::ByCoupling));
         begin_step(couplings, step.time, step.dt)?;
         let Self { contact, nodes, of_nodes, of_particles } = &mut met;
         contact.act(couplings, [step.dt, around.adjoint.h], |[near_nodes, near_particles], act| {
@@ -129,7 +131,7 @@ impl Met {
     /// masses. What is owed to bodies goes to the gradient, and what is owed to particles that pressed is returned.
     pub(super) fn backwards(
         &self,
-        couplings: &[Box<dyn Coupling>],
+        couplings: &mut [Box<dyn Coupling>],
         step: &Step,
         owed: &mut Nodes,
         gradient: &mut Gradient,
@@ -140,15 +142,23 @@ impl Met {
         };
         let mut near = NearCotangents::of(self.of_nodes.iter().map(velocity).collect(), &self.nodes);
         let impulses: Vec<Wrench> = gradient.particles.bodies.iter().map(|body| body.impulse).collect();
-        let mut found = Vec::new();
-        if !self.nodes.is_empty() {
-            found = self.contact.meet_back(couplings, step.dt, &self.nodes, &impulses, &mut near)?;
+        let mut twists = Vec::with_capacity(impulses.len());
+        let mut owed_to_bodies = gradient.particles.bodies.iter_mut();
+        for coupling in couplings.iter_mut() {
+            for (body, owed) in (0..coupling.wrenches().len()).zip(&mut owed_to_bodies) {
+                twists.push(coupling.advance_back(body, step.dt, owed)?);
+            }
         }
-        found.resize_with(impulses.len(), Default::default);
+        let found = if self.nodes.is_empty() {
+            twists.iter().map(|twist| BodyInStep { twist: *twist, ..BodyInStep::default() }).collect()
+        } else {
+            self.contact.meet_back(couplings, step.dt, &self.nodes, (&impulses, &twists), &mut near)?
+        };
         let bodies = couplings.iter().flat_map(|one| (0..one.wrenches().len()).map(move |body| (one, body)));
         let told = gradient.particles.bodies.iter_mut().zip(&mut gradient.bodies);
         for (((coupling, body), found), (owed, told)) in bodies.zip(&found).zip(told) {
-            coupling.move_back(body, step.time, step.dt, found, &mut owed.pose, told);
+            let of_gravity = coupling.begin_back(body, step.time, step.dt, found, owed, told);
+            (0..3).for_each(|d| gradient.gravity[d] += step.grown * of_gravity[d]);
         }
         for ((node, [x, y, z]), mass) in self.of_nodes.iter().zip(near.velocity).zip(near.mass) {
             *owed.get_mut(*node) = [x, y, z, mass];

@@ -158,7 +158,7 @@ class Impulse:
     impulse: NDArray[np.float64]
     """Impulse [N s], (3,)."""
     angular_impulse: NDArray[np.float64]
-    """Angular impulse about the origin of the tool's frame [N m s], (3,)."""
+    """Angular impulse about the tool's position, which is its centre of mass if it is free and its frame's origin if it is driven [N m s], (3,)."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,9 +166,13 @@ class BodyGradient:
     """Derivatives of a loss by a tool."""
 
     position: NDArray[np.float64]
-    """By the origin of its frame at the start of the tape [1/m], (3,); 0 if it moves along keyframes."""
+    """By its position at the start of the tape [1/m], (3,); 0 if it moves along keyframes."""
     rotation: NDArray[np.float64]
     """By its rotation there, as a small turn about the world's axes on top of it [1/rad], (3,); 0 if it moves along keyframes."""
+    velocity: NDArray[np.float64]
+    """By its velocity at the start, if it is free or a force pushes it [s/m], (3,)."""
+    angular_velocity: NDArray[np.float64]
+    """By its angular velocity at the start, if it is free [s/rad], (3,)."""
     linear: NDArray[np.float64]
     """By its velocity over the tape, if it is driven by velocity [s/m], (3,)."""
     angular: NDArray[np.float64]
@@ -177,6 +181,10 @@ class BodyGradient:
     """By the positions of its n keyframes, if it moves along some [1/m], (n, 3)."""
     friction: float
     """By its coefficient of friction; 0 for contact that knows none."""
+    mass: float
+    """By its mass, with which its inertia grows, if it is free or a force pushes it [1/kg]."""
+    force: float
+    """By the whole force of its servo [1/N], with the mass that follows it where the scene gives none."""
 
 
 @dataclass(frozen=True, eq=False)

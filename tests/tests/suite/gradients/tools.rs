@@ -1,4 +1,4 @@
-//! Gradients through tools that are driven: by where they are, how they move, and what they felt.
+//! Gradients through tools: by where they are, how they move, and what they felt.
 
 use super::{AWAKE, H, Noise, Vec3, by_number, difference, dot, simulation, weights, within};
 use barchan::gradient::{BodyCotangents, PoseCotangent};
@@ -11,6 +11,12 @@ enum Motion {
     Velocity,
     /// Through keyframes, smoothly or not.
     Path(&'static str),
+    /// As the ground lets it.
+    Free,
+    /// Pushed by a force against damping, with a mass that it gives or that follows the force.
+    Servo {
+        own_mass: bool,
+    },
 }
 
 /// A tool in stirred ground.
@@ -35,11 +41,16 @@ struct By {
     parameter: f64,
     gravity: f64,
     friction: f64,
+    mass: f64,
+    force: f64,
 }
 
 const STEPS: u32 = 10;
 /// Young's modulus of the ground [Pa].
 const YOUNG: f64 = 2e4;
+/// Of a free tool and of one that is pushed [kg], and the force [N].
+const MASS: f64 = 2.5;
+const FORCE: f64 = 60.0;
 const TURN: Vec3 = [0.3, -0.2, 0.25];
 const LINEAR: Vec3 = [0.3, -0.2, -1.1];
 const ANGULAR: Vec3 = [1.5, -2.0, 4.0];
@@ -52,6 +63,17 @@ fn along(from: Vec3, by: f64) -> Vec3 {
 
 fn inner(a: Vec3, b: Vec3) -> f64 {
     (0..3).map(|d| a[d] * b[d]).sum()
+}
+
+fn cross(a: Vec3, b: Vec3) -> Vec3 {
+    std::array::from_fn(|d| a[(d + 1) % 3] * b[(d + 2) % 3] - a[(d + 2) % 3] * b[(d + 1) % 3])
+}
+
+/// A vector turned by a quaternion.
+fn rotated([w, x, y, z]: [f64; 4], v: Vec3) -> Vec3 {
+    let axis = [x, y, z];
+    let (once, twice) = (cross(axis, v), cross(axis, cross(axis, v)));
+    std::array::from_fn(|d| v[d] + 2.0 * (w * once[d] + twice[d]))
 }
 
 /// The quaternion of a rotation vector.
@@ -80,6 +102,17 @@ impl Case<'_> {
                 let (linear, angular) = (along(LINEAR, by.linear), along(ANGULAR, by.angular));
                 format!("{{ velocity = {{ linear = {linear:?}, angular = {angular:?} }} }}")
             }
+            Motion::Free => {
+                let (linear, angular) = (along(LINEAR, by.linear), along(ANGULAR, by.angular));
+                format!("{{ free = {{ mass = {:?}, linear = {linear:?}, angular = {angular:?} }} }}", MASS + by.mass)
+            }
+            Motion::Servo { own_mass } => {
+                let mass = if own_mass { format!("mass = {:?},", MASS + by.mass) } else { String::new() };
+                let force = FORCE + by.force;
+                format!(
+                    "{{ servo = {{ axis = [0.2, -0.1, -1.0], force = {force:?}, {mass} ramp = 6e-3, damping = 12.0 }} }}"
+                )
+            }
             Motion::Path(interpolation) => {
                 let at = |k: usize, time: f64, far: f64| {
                     let on: Vec3 = std::array::from_fn(|d| self.position[d] + far * LINEAR[d]);
@@ -92,7 +125,7 @@ impl Case<'_> {
             }
         };
         let rotation = on_top(turned(along([0.0; 3], by.rotation)), turned(TURN));
-        let place = if matches!(self.motion, Motion::Velocity) { along(self.position, by.position) } else { [0.0; 3] };
+        let place = if !matches!(self.motion, Motion::Path(_)) { along(self.position, by.position) } else { [0.0; 3] };
         let contact = self.contact.replace("0.3", &format!("{:?}", 0.3 + by.friction));
         let tool = tool("tool", place, &self.shape, &contact, &motion) + &format!("rotation = {rotation:?}\n");
         let (law, parameters) = self.law;
@@ -114,16 +147,22 @@ impl Case<'_> {
         sim.record(&barchan::registry(), 1e-3 * f64::from(STEPS)).unwrap_or_else(|e| panic!("{e}"))
     }
 
-    /// What a loss looks at: particles, where the tool ends, and what it felt.
+    /// What a loss looks at: particles, where the tool ends, how it is turned and how it moves there, and what it felt.
     fn loss(tape: &Tape) -> (f64, Cotangents) {
         let mut all = weights(tape.end().id.len());
-        let pose = PoseCotangent { position: [0.3, -0.2, 0.5], rotation: [0.0; 3] };
-        let impulse = Wrench { force: [0.4, -0.3, 0.6], torque: [2.0, 3.0, -4.0] };
-        all.bodies = vec![BodyCotangents { pose, impulse }];
         let (end, felt) = (tape.end(), tape.impulses()[0]);
+        let tool = &end.bodies[0];
+        let (axis, weight) = (rotated(tool.rotation, [0.3, 0.8, -0.5]), [0.7, -0.4, 0.9]);
+        let pose = PoseCotangent { position: [0.3, -0.2, 0.5], rotation: cross(axis, weight) };
+        let impulse = Wrench { force: [0.4, -0.3, 0.6], torque: [2.0, 3.0, -4.0] };
+        let (velocity, angular_velocity) = ([0.05, 0.02, -0.03], [0.003, -0.004, 0.005]);
+        all.bodies = vec![BodyCotangents { pose, velocity, angular_velocity, impulse }];
         let loss = dot(&end.position, &all.position)
             + dot(&end.velocity, &all.velocity)
-            + inner(end.bodies[0].position, pose.position)
+            + inner(tool.position, pose.position)
+            + inner(axis, weight)
+            + inner(tool.twist[0], velocity)
+            + inner(tool.twist[1], angular_velocity)
             + inner(felt.force, impulse.force)
             + inner(felt.torque, impulse.torque);
         (loss, all)
@@ -161,33 +200,37 @@ impl Case<'_> {
             let run = difference(1e-5, |friction| run(By { friction, ..By::default() }));
             compared.push(("friction", told.friction, run, 2e-6));
         }
+        let (speed, spin) = match self.motion {
+            Motion::Velocity => (told.linear, told.angular),
+            _ => (found.particles.bodies[0].velocity, found.particles.bodies[0].angular_velocity),
+        };
+        let moved = |position| run(By { position, ..By::default() });
+        let turned = |rotation| run(By { rotation, ..By::default() });
+        let faster = |linear| run(By { linear, ..By::default() });
+        let spun = |angular| run(By { angular, ..By::default() });
+        let heavier = |mass| run(By { mass, ..By::default() });
+        let pushed = |force| run(By { force, ..By::default() });
+        let place = [
+            ("position", inner(pose.position, WAY), difference(1e-7, moved), 2e-6),
+            ("rotation", inner(pose.rotation, WAY), difference(1e-6, turned), 2e-6),
+        ];
+        let motion = [
+            ("linear", inner(speed, WAY), difference(1e-5, faster), 2e-6),
+            ("angular", inner(spin, WAY), difference(1e-5, spun), 2e-6),
+        ];
         match self.motion {
-            Motion::Velocity => compared.extend([
-                (
-                    "position",
-                    inner(pose.position, WAY),
-                    difference(1e-7, |position| run(By { position, ..By::default() })),
-                    2e-6,
-                ),
-                (
-                    "rotation",
-                    inner(pose.rotation, WAY),
-                    difference(1e-6, |rotation| run(By { rotation, ..By::default() })),
-                    2e-6,
-                ),
-                (
-                    "linear",
-                    inner(told.linear, WAY),
-                    difference(1e-5, |linear| run(By { linear, ..By::default() })),
-                    2e-6,
-                ),
-                (
-                    "angular",
-                    inner(told.angular, WAY),
-                    difference(1e-5, |angular| run(By { angular, ..By::default() })),
-                    2e-6,
-                ),
-            ]),
+            Motion::Velocity => compared.extend([place, motion].concat()),
+            Motion::Free => {
+                compared.extend([place, motion].concat());
+                compared.push(("mass", told.mass, difference(1e-4, heavier), 2e-6));
+            }
+            Motion::Servo { own_mass } => {
+                compared.extend(place);
+                compared.push(("force", told.force, difference(1e-3, pushed), 2e-6));
+                if own_mass {
+                    compared.push(("mass", told.mass, difference(1e-4, heavier), 2e-6));
+                }
+            }
             Motion::Path(_) => {
                 assert_eq!((pose, told.keyframes.len()), (PoseCotangent::default(), 4));
                 compared.extend((0..4).map(|k| {
@@ -254,5 +297,22 @@ fn gradients_of_tools_go_through_walls_and_joined_ends() {
     for shape in ["sphere = { radius = 0.09 }".to_owned(), half([0.07, 0.06, 0.08]), mesh] {
         let position = [1.0 * H, 0.3 * H, 2.7 * H];
         Case { law: JELLY, walls, shape, contact: RUBBING, motion: Motion::Velocity, position }.compare();
+    }
+}
+
+/// Likewise through tools that the ground moves: free ones, thrown and spinning, whose balance with the ground and whose tumbling go back as well, and those that a force pushes along a guide.
+#[test]
+fn gradients_go_through_bodies_that_the_ground_moves() {
+    let motions = [Motion::Free, Motion::Servo { own_mass: true }, Motion::Servo { own_mass: false }];
+    let shapes = [
+        ("sphere = { radius = 0.07 }".to_owned(), RUBBING, JELLY),
+        (half([0.1, 0.05, 0.07]), RUBBING, SAND),
+        (half([0.06, 0.09, 0.08]), "\"stick\"", JELLY),
+    ];
+    for motion in motions {
+        for (shape, contact, law) in shapes.clone() {
+            let position = [2.1 * H, 2.4 * H, 3.9 * H];
+            Case { law, walls: FLOOR, shape, contact, motion, position }.compare();
+        }
     }
 }
