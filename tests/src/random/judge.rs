@@ -264,6 +264,8 @@ impl Judge {
             return Ok(());
         }
         let (particles, mass) = (tape.end().id.len(), tape.end().mass.iter().sum::<f64>());
+        // Of a scene without ground no tool feels anything.
+        let mass = if mass > 0.0 { mass } else { 1.0 };
         let mut loss = Cotangents::zero(particles);
         loss.bodies.resize_with(tape.end().bodies.len(), Default::default);
         let mut noise = Noise::new(3);
