@@ -5,6 +5,7 @@
 //! - Errors of Rust become exceptions of `barchan/errors.py`, with the same words.
 
 mod arrays;
+mod change;
 mod environment;
 mod errors;
 mod given;

@@ -1,5 +1,6 @@
 //! The class `Simulation`.
 
+use crate::change::Change;
 use crate::errors::{OrRaise, exception, raised, warn};
 use crate::given::{
     Numbers, axes, blows, check_count, check_world, chosen, first_or_each, named, per_world, placements, precision,
@@ -222,9 +223,9 @@ impl Simulation {
 
     /// Steps a world until `seconds` later and remembers the steps: a `Tape`, through which gradients go back. The others wait.
     ///
-    /// Gradients go through every law, walls, and one level of cells; `precision="f64"` makes them as exact as they can be. Ctrl-C ends it, without a tape.
+    /// Gradients go through every law, walls, tools, and one level of cells; `precision="f64"` makes them as exact as they can be. Ctrl-C ends it, without a tape.
     ///
-    /// Raises `PluginError` for what has no adjoint yet, by name (tools, robots, nested levels, sleep), `BodyError` for damping, sources and sinks, and if particles left the world on the way;
+    /// Raises `PluginError` for what has no adjoint yet, by name (robots, nested levels, sleep), `BodyError` for tools that appear or vanish, damping, sources and sinks, and if particles left the world on the way;
     /// else as `step`.
     #[pyo3(signature = (seconds, *, world=0))]
     fn record(&self, py: Python<'_>, seconds: f64, world: usize) -> PyResult<Tape> {
@@ -708,6 +709,28 @@ impl Simulation {
         let given = [position, rotation, velocity, angular_velocity, joints, joint_rates];
         let placements = placements(given, worlds.len())?;
         tell(py, machine.len(), worlds, placements, |world, command| machine.world_mut(world).act(body, command))
+    }
+
+    /// Gives some particles of a world other places [m], velocities [m/s] or affine matrices C, row by row [1/s]: those whose numbers are `id`, (n,), as `Particles.id` and
+    /// `Tape.start.id` tell them, a row each. What is left out stays, and so do strain and mass.
+    ///
+    /// Raises `BodyError` for a number that no particle has or that comes twice, for places outside the world, for what is not finite, and for places on several levels. Then none is
+    /// changed.
+    #[pyo3(signature = (id, *, position=None, velocity=None, affine=None, world=0))]
+    fn set_particles(
+        &self,
+        py: Python<'_>,
+        id: Vec<u64>,
+        position: Option<Numbers<'_>>,
+        velocity: Option<Numbers<'_>>,
+        affine: Option<Numbers<'_>>,
+        world: usize,
+    ) -> PyResult<()> {
+        let mut machine = self.machine(py)?;
+        check_world(world, machine.len())?;
+        let change = Change::new(id, [position, velocity, affine])?;
+        let machine = &mut *machine;
+        py.detach(|| change.apply(machine.world_mut(world))).or_raise(py)
     }
 
     /// Sets worlds back to their start: all, or those in `worlds` (a number or a list). With `seeds`, one for each of them, they start from these random

@@ -144,6 +144,50 @@ def test_what_makes_no_sense_of_tools_is_refused():
         tape.pull_back(bodies={"ball": {"impulse": [0, 0, np.nan]}})
 
 
+def test_gradients_by_particles_are_derivatives_by_what_set_particles_changes():
+    noise = np.random.default_rng(3)
+    way = noise.uniform(-1, 1, (len(drop().particles()), 3))
+
+    def height(moved=0.0, faster=0.0):
+        simulation = drop()
+        start = simulation.particles()
+        order = np.argsort(start.id)
+        id, position = start.id[order], start.position[order]
+        velocity = np.tile([0.3, 0.0, -1.0], (len(id), 1))
+        simulation.set_particles(id, position=position + moved * way, velocity=velocity + faster * way)
+        tape = simulation.record(0.03)
+        return tape, tape.end.position[:, 2].sum()
+
+    tape, _ = height()
+    up = np.zeros_like(tape.end.position)
+    up[:, 2] = 1
+    gradient = tape.pull_back(position=up)
+    assert (gradient.position * way).sum() == pytest.approx(difference(lambda by: height(moved=by)[1], 1e-7), rel=1e-5)
+    assert (gradient.velocity * way).sum() == pytest.approx(difference(lambda by: height(faster=by)[1], 1e-6), rel=1e-5)
+
+
+def test_particles_that_cannot_be_set_stay_as_they_are():
+    simulation = drop()
+    before = simulation.particles()
+    first = before.id[:1]
+    for id, given, says in [
+        ([10**9], {"velocity": [[0, 0, 1]]}, "no particle 1000000000"),
+        ([first[0], first[0]], {"velocity": np.zeros((2, 3))}, "comes twice"),
+        (first, {"position": [[0, 0, 9]]}, "outside the world"),
+        (first, {"velocity": [[0, np.inf, 0]]}, "not finite"),
+        (first, {"position": [[np.nan, 0, 0]]}, "outside the world"),
+    ]:
+        with pytest.raises(barchan.BodyError, match=says):
+            simulation.set_particles(id, **given)
+    for given, says in [({}, "nothing is to be changed"), ({"velocity": [0, 0, 1]}, r"\(1, 3\)")]:
+        with pytest.raises(ValueError, match=says):
+            simulation.set_particles(first, **given)
+    np.testing.assert_array_equal(simulation.particles().position, before.position)
+    simulation.set_particles(first, affine=[range(9)])
+    after = simulation.particles("id", "affine")
+    np.testing.assert_array_equal(after.affine[after.id == first[0]], [range(9)])
+
+
 def test_tapes_chain_and_losses_may_look_at_both():
     whole = drop().record(0.05)
     up = np.ones((len(whole.end), 3))

@@ -139,6 +139,15 @@ class Simulation:
         joint_rates: ArrayLike | None = None,
         worlds: _Worlds | None = None,
     ) -> None: ...
+    def set_particles(
+        self,
+        id: ArrayLike,
+        *,
+        position: ArrayLike | None = None,
+        velocity: ArrayLike | None = None,
+        affine: ArrayLike | None = None,
+        world: int = 0,
+    ) -> None: ...
     def reset(
         self,
         worlds: _Worlds | None = None,

@@ -1,0 +1,104 @@
+//! Particles that Python changes.
+
+use crate::given::Numbers;
+use barchan::{Error, ParticleState, Simulation, Vec3};
+use pyo3::exceptions::PyValueError;
+use pyo3::prelude::*;
+use std::collections::HashMap;
+
+/// What some particles are to be; what is left out stays.
+pub(crate) struct Change {
+    id: Vec<u64>,
+    position: Option<Vec<Vec3>>,
+    velocity: Option<Vec<Vec3>>,
+    affine: Option<Vec<[f64; 9]>>,
+}
+
+fn rows<const N: usize>(given: Option<Numbers<'_>>, what: &str, count: usize) -> PyResult<Option<Vec<[f64; N]>>> {
+    let Some(given) = given else { return Ok(None) };
+    let given = given.as_array();
+    if given.shape() != [count, N] {
+        return Err(PyValueError::new_err(format!(
+            "{what}: its shape is {:?}; it should be ({count}, {N}), a row for each particle in the order of id",
+            given.shape()
+        )));
+    }
+    let row = |row: numpy::ndarray::ArrayView1<'_, f64>| std::array::from_fn(|d| row[d]);
+    Ok(Some(
+        given
+            .into_dimensionality::<numpy::Ix2>()
+            .expect("its shape has two numbers")
+            .rows()
+            .into_iter()
+            .map(row)
+            .collect(),
+    ))
+}
+
+impl Change {
+    /// Of the particles with these numbers: positions, velocities and affine matrices, a row each.
+    pub(crate) fn new(id: Vec<u64>, [position, velocity, affine]: [Option<Numbers<'_>>; 3]) -> PyResult<Self> {
+        if position.is_none() && velocity.is_none() && affine.is_none() {
+            return Err(PyValueError::new_err("nothing is to be changed; give position, velocity or affine"));
+        }
+        let count = id.len();
+        Ok(Self {
+            position: rows(position, "position", count)?,
+            velocity: rows(velocity, "velocity", count)?,
+            affine: rows(affine, "affine", count)?,
+            id,
+        })
+    }
+
+    /// Changes them. On an error none is.
+    ///
+    /// # Errors
+    /// [`Error::Body`] for a number that no particle has or that comes twice, for places outside the world, for what is not finite, and for places on several levels.
+    pub(crate) fn apply(&self, simulation: &mut Simulation) -> barchan::Result<()> {
+        let refuse =
+            |what: String, mend: &str| Err(Error::Body { path: "particles".to_owned(), what, mend: mend.to_owned() });
+        let world = simulation.plan().scene.world.clone();
+        if self.position.is_some() && simulation.plan().cell_widths.len() > 1 {
+            return refuse(
+                "places can be changed on one level only".to_owned(),
+                "leave position out, or use one level",
+            );
+        }
+        let mut state = ParticleState { sort: None, ..simulation.particles() };
+        let mut places: HashMap<u64, (usize, usize)> = HashMap::new();
+        for (l, list) in state.lists.iter().enumerate() {
+            places.extend(list.id.iter().enumerate().map(|(i, id)| (*id, (l, i))));
+        }
+        for (k, id) in self.id.iter().enumerate() {
+            let Some((l, i)) = places.remove(id) else {
+                let mend = "give numbers that `particles` tells, each once; ground out of reach cannot be changed";
+                return refuse(format!("there is no particle {id}, or it comes twice"), mend);
+            };
+            let list = &mut state.lists[l];
+            if let Some(position) = &self.position {
+                let x = position[k];
+                if !(0..3).all(|d| world.min[d] <= x[d] && x[d] < world.max[d]) {
+                    return refuse(
+                        format!("particle {id} would be at {x:?}, outside the world"),
+                        "give a place within it",
+                    );
+                }
+                for d in 0..3 {
+                    let cells = x[d] / list.cell_width;
+                    list.cell[i][d] = cells.floor() as i32;
+                    list.offset[i][d] = (cells - cells.floor()).min(1.0 - f64::EPSILON);
+                }
+            }
+            if let Some(velocity) = &self.velocity {
+                list.velocity[i] = velocity[k];
+            }
+            if let Some(affine) = &self.affine {
+                list.affine[i] = affine[k];
+            }
+            if !list.velocity[i].iter().chain(&list.affine[i]).all(|x| x.is_finite()) {
+                return refuse(format!("what is given for particle {id} is not finite"), "give finite numbers");
+            }
+        }
+        simulation.set_particles(state)
+    }
+}
