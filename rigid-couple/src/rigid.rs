@@ -10,6 +10,7 @@ use crate::surface::{mesh_of, placed, planes_of};
 use crate::tables::{Listed, Tables, row, rows};
 use crate::world::{RigidWorld, Role};
 use crate::{Refusal, is_within_reach};
+use adjoint::Turn;
 use barchan_core::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{
@@ -396,15 +397,25 @@ impl Coupling for Rigid {
         grip::touch(&body.shape, body.contact, &body.state.pose, nodes, dt, touches);
     }
 
-    fn check_adjoint(&self) -> Result<()> {
+    fn twin(&self) -> Result<Box<dyn Coupling>> {
         let late = |tool: &&Tool| tool.from > 0.0 || tool.until.is_some();
-        match self.scene.tool.iter().find(late) {
-            Some(tool) => {
-                let what = "gradients do not go through tools that appear or vanish";
-                Err(Refusal::new(what, "leave out from and until").at(&format!("tool '{}'", tool.name)))
-            }
-            None => Ok(()),
+        if let Some(tool) = self.scene.tool.iter().find(late) {
+            let what = "gradients do not go through tools that appear or vanish";
+            return Err(Refusal::new(what, "leave out from and until").at(&format!("tool '{}'", tool.name)));
         }
+        let mut twin = Self {
+            name: self.name.clone(),
+            bodies: self.bodies.clone(),
+            wrenches: self.wrenches.clone(),
+            scene: self.scene.clone(),
+            world_box: self.world_box,
+            world: None,
+            counts: self.counts,
+            moved: Moved::ByCoupling,
+            dt: self.dt,
+        };
+        twin.world = twin.rigid_world();
+        Ok(Box::new(twin))
     }
 
     fn touch_back(
@@ -415,27 +426,31 @@ impl Coupling for Rigid {
         touches: (&[Touch], &[GripCotangent]),
         near: &mut NearCotangents,
         owed: &mut BodyInStep,
-    ) -> bool {
+    ) -> Result<()> {
         let body = &self.bodies[body];
         grip::touch_back(&body.shape, &body.state.pose, nodes, dt, touches, near, owed);
-        true
+        Ok(())
     }
 
     fn advance_back(&mut self, body: usize, dt: f64, owed: &mut BodyCotangents) -> Result<Twist> {
         let before = self.bodies[body].state;
-        let mut after = before.pose;
-        if self.bodies[body].is_free() {
+        let mut turn = Turn::default();
+        if let (true, Some(world)) = (self.bodies[body].is_free(), &self.world) {
+            turn = Turn::of(self.bodies[body].midway_spin(dt), dt, world.substeps());
             self.move_free_body(dt)?;
-            let state = std::mem::replace(&mut self.bodies[body].state, before);
-            after = state.pose;
-            let change = (state.twist.linear - before.twist.linear).length();
-            if change > 1e-9 * before.twist.linear.length() {
+            let after = std::mem::replace(&mut self.bodies[body].state, before);
+            let Twist { linear, .. } = before.twist;
+            let place = before.pose.position + dt * linear;
+            let rotation = (DQuat::from_scaled_axis(turn.vector) * before.pose.rotation).normalize();
+            let off = (after.pose.position - place).length() + (after.twist.linear - linear).length() * dt;
+            let turned = (after.pose.rotation * rotation.conjugate()).xyz().length();
+            if off > 1e-9 * (self.scene.world.cell + dt * linear.length()) || turned > 1e-9 {
                 let what = "gradients: a wall of the world has pushed it, and they do not go through that";
                 let refusal = Refusal::new(what, "record a shorter time, or make the world larger");
                 return Err(refusal.at(&format!("tool '{}'", self.bodies[body].name)));
             }
         }
-        Ok(self.bodies[body].advance_back(dt, &after, owed))
+        Ok(self.bodies[body].advance_back(dt, &turn, owed))
     }
 
     fn begin_back(
@@ -446,8 +461,8 @@ impl Coupling for Rigid {
         step: &BodyInStep,
         owed: &mut BodyCotangents,
         told: &mut BodyGradient,
-    ) -> Vec3 {
-        self.bodies[body].begin_back([time, dt], step, &self.wrenches[body], owed, told).to_array()
+    ) -> Result<Vec3> {
+        Ok(self.bodies[body].begin_back([time, dt], step, &self.wrenches[body], owed, told).to_array())
     }
 
     fn twist(&self, body: usize) -> Twist {

@@ -6,7 +6,6 @@
 
 mod slopes;
 
-pub use slopes::Slopes;
 pub(crate) use slopes::outer;
 
 use crate::Refusal;

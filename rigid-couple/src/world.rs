@@ -292,6 +292,11 @@ impl RigidWorld {
         parameters.static_contact_softness.natural_frequency = stiffest.max(60.0);
     }
 
+    /// Parts in which rapier takes a step.
+    pub fn substeps(&self) -> usize {
+        self.physics.integration_parameters.num_solver_iterations
+    }
+
     /// Where a body is, and how it moves.
     pub fn state(&self, body: usize) -> (Pose, Twist) {
         let body = &self.physics.bodies[self.handles[body]];

@@ -661,15 +661,19 @@ pub trait Coupling: Send + Sync {
     fn touch(&mut self, body: usize, dt: f64, nodes: &NodeBatch, touches: &mut Vec<Touch>) {
         let _ = (body, dt, nodes, touches);
     }
-    /// Can gradients go back through what its bodies do, by [`advance_back`](Self::advance_back), [`touch_back`](Self::touch_back) and [`begin_back`](Self::begin_back)?
+    /// One of its own, of the same bodies where they are now, with which steps can be taken again and gone back through, by [`advance_back`](Self::advance_back),
+    /// [`touch_back`](Self::touch_back) and [`begin_back`](Self::begin_back): what gradients need.
     ///
     /// # Errors
-    /// What they cannot go through, and what mends it.
-    fn check_adjoint(&self) -> Result<()> {
+    /// What gradients do not go through, and what mends it: all of it, if a coupling has nothing of the kind.
+    fn twin(&self) -> Result<Box<dyn Coupling>> {
         Err(no_adjoint(self.name()))
     }
     /// The adjoint of [`touch`](Self::touch) in the step that has begun: from what is owed to its grips, one for each of its touches, to what is owed to nodes' masses
-    /// and to particles, which is added to `near`, and to the body's place, which is added to `owed`. Returns whether it has one.
+    /// and to particles, which is added to `near`, and to the body's place, which is added to `owed`.
+    ///
+    /// # Errors
+    /// [`Error::Missing`](crate::Error::Missing) if it has none.
     fn touch_back(
         &self,
         body: usize,
@@ -678,22 +682,25 @@ pub trait Coupling: Send + Sync {
         touches: (&[Touch], &[GripCotangent]),
         near: &mut NearCotangents,
         owed: &mut BodyInStep,
-    ) -> bool {
+    ) -> Result<()> {
         let _ = (body, dt, nodes, touches, near, owed);
-        false
+        Err(no_adjoint(self.name()))
     }
     /// The adjoint of [`after_step`](Self::after_step), where contact has found the twists of a step of `dt` [s]: from what is owed to a body's state behind the step to what is owed to
     /// where it was before it, and to its twist, which is returned. A driven body's own motion is [`begin_back`](Self::begin_back)'s.
     ///
     /// # Errors
-    /// What gradients do not go through, and has come in this step.
+    /// As [`touch_back`](Self::touch_back), and what gradients do not go through, if it has come in this step.
     fn advance_back(&mut self, body: usize, dt: f64, owed: &mut BodyCotangents) -> Result<Twist> {
         let _ = (body, dt, owed);
-        Ok(Twist::default())
+        Err(no_adjoint(self.name()))
     }
     /// The adjoint of [`before_step`](Self::before_step), and of a driven body's motion over the step from `time` that takes `dt` [s]. `step` is what is owed to the body in it: of one that
     /// answers, its twist as it would be without contact. `owed` gets what is owed to its state before the step, and `told` what is owed to what it is told. Returns what is owed to the
     /// gravity of the step [s²/m].
+    ///
+    /// # Errors
+    /// As [`touch_back`](Self::touch_back).
     fn begin_back(
         &self,
         body: usize,
@@ -702,9 +709,9 @@ pub trait Coupling: Send + Sync {
         step: &BodyInStep,
         owed: &mut BodyCotangents,
         told: &mut BodyGradient,
-    ) -> Vec3 {
+    ) -> Result<Vec3> {
         let _ = (body, time, dt, step, owed, told);
-        [0.0; 3]
+        Err(no_adjoint(self.name()))
     }
     /// The twist of a body's reference point: as it is given over this step if the body is driven, else as it would be without contact.
     fn twist(&self, body: usize) -> Twist {

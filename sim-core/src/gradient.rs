@@ -39,9 +39,9 @@ pub struct Cotangents {
 pub struct BodyCotangents {
     /// By where it is.
     pub pose: PoseCotangent,
-    /// By the velocity of its reference point, if it answers the ground's impulses [s/m].
+    /// By the velocity of its reference point [s/m]. At the start of a tape it is 0 for a body that is driven: there it goes to what that was told.
     pub velocity: Vec3,
-    /// By its angular velocity, likewise [s/rad].
+    /// By its angular velocity, likewise [s/rad]; 0 for one in a guide.
     pub angular_velocity: Vec3,
     /// By the impulse of the ground on it over the tape [1/(N s)], and the angular impulse about its reference point [1/(N m s)]. At the start of a tape it is 0.
     pub impulse: Wrench,
@@ -52,7 +52,7 @@ pub struct BodyCotangents {
 pub struct PoseCotangent {
     /// By its reference point: its centre of mass if it is free, else its frame's origin [1/m].
     pub position: Vec3,
-    /// By its rotation, as a small turn about the world's axes on top of it [1/rad].
+    /// By its rotation, as a small turn on top of it, about axes through the reference point along the world's [1/rad].
     pub rotation: Vec3,
 }
 
@@ -140,6 +140,8 @@ pub struct Moment {
     pub position: Vec<Vec3>,
     /// Velocities [m/s].
     pub velocity: Vec<Vec3>,
+    /// Affine matrices C, row-major [1/s].
+    pub affine: Vec<[f64; 9]>,
     /// Tools and other bodies of couplings, in the scene's order.
     pub bodies: Vec<BodyPose>,
 }
@@ -203,6 +205,7 @@ fn moment(particles: &ParticleState, simulation: &Simulation) -> Moment {
         moment.mass.push(list.mass[i]);
         moment.position.push(list.position(i));
         moment.velocity.push(list.velocity[i]);
+        moment.affine.push(list.affine[i]);
     }
     moment
 }
@@ -297,8 +300,7 @@ impl Simulation {
         let backwards = if has_all { &own } else { registry.backend(&Options::default().backend)? };
         let backwards = Arc::clone(backwards);
         check(&plan, &*backwards)?;
-        self.couplings().iter().try_for_each(|coupling| coupling.check_adjoint())?;
-        let couplings = Mutex::new(plan.make_couplings(registry)?);
+        let couplings = Mutex::new(self.couplings().iter().map(|one| one.twin()).collect::<Result<_>>()?);
         let coupled = self.couplings().iter().map(|coupling| coupling.save()).collect();
         let start = self.engine().state();
         self.engine().check()?;

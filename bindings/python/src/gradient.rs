@@ -105,13 +105,14 @@ fn moment<'py>(py: Python<'py>, moment: &Moment) -> PyResult<Bound<'py, PyAny>> 
         ("mass", records::vector(py, moment.mass.clone())),
         ("position", records::rows(py, moment.position.clone())?),
         ("velocity", records::rows(py, moment.velocity.clone())?),
+        ("affine", records::rows(py, moment.affine.clone())?),
     ];
     records::record(py, "Particles", &fields)
 }
 
 #[pymethods]
 impl Tape {
-    /// The particles at its start: `id`, `body`, `material`, `mass` [kg], `position` [m] and `velocity` [m/s] of a `Particles` record.
+    /// The particles at its start: `id`, `body`, `material`, `mass` [kg], `position` [m], `velocity` [m/s] and `affine` [1/s] of a `Particles` record.
     #[getter]
     fn start<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         moment(py, self.tape.start())
@@ -145,8 +146,8 @@ impl Tape {
 
     /// What a loss owes to what was at the start and throughout: a `Gradient`. Its derivatives by the particles at the end are given, as arrays of the shape (n, 3), one row for
     /// each particle in the order of `end`: by `position` [1/m] and by `velocity` [s/m]. What is left out is zero. `bodies` has derivatives by tools: a dict by their names, of dicts of three numbers. At the end there are `position` [1/m], that of `Simulation.bodies`, `rotation`, as a small turn
-    /// about the world's axes [1/rad], and, of tools that the ground moves, `velocity` [s/m] and `angular_velocity` [s/rad]; over the tape there are `impulse` [1/(N s)] and `angular_impulse`
-    /// [1/(N m s)], as in `impulses`. `then` is the gradient of the tape that follows on this one, if the loss looks
+    /// about the world's axes [1/rad], `velocity` [s/m] and `angular_velocity` [s/rad]; over the tape there are `impulse` [1/(N s)] and `angular_impulse`
+    /// [1/(N m s)], as in `impulses`: of this tape alone, also where `then` is given. `then` is the gradient of the tape that follows on this one, if the loss looks
     /// further.
     ///
     /// It takes all steps twice again, and goes back through each, which takes some fifty times as long as a step. Ctrl-C ends it.
@@ -170,7 +171,7 @@ impl Tape {
         let mut cotangents = match then.map(Bound::get) {
             Some(then) if then.start != *self.tape.end() => {
                 return Err(PyValueError::new_err(
-                    "then: it is a gradient by other particles than those at the end of this tape, or by these at another time; record one tape behind the other",
+                    "then: it does not begin where this tape ends, at the same time, with all particles and tools where they are and as fast; record one tape behind the other, and place, set and push nothing between them",
                 ));
             }
             Some(then) => then.gradient.particles.clone(),

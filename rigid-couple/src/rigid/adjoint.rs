@@ -1,15 +1,36 @@
 //! The motion of tools and free bodies backwards.
 //!
 //! Of a body that answers, velocity v and angular velocity ω are its state besides where it is. A step is v_f = v + dt g; contact finds the twist V with M (V_f − V) + J = 0; then it moves by V, and turns by
-//! the angular velocity half-way (implicit midpoint), with the angular momentum L = I V that contact has left it.
+//! the angular velocity half-way (implicit midpoint), with the angular momentum L = I V that contact has left it. Rapier turns it by a little less than that says (`Turn`).
 
 use super::body::{Body, Guided, Mover, turned};
 use crate::motion::{Pose, turn_slopes};
+use crate::sdf::outer;
 use barchan_core::Wrench;
 use barchan_core::contact::Twist;
 use barchan_core::contact::adjoint::BodyInStep;
 use barchan_core::gradient::{BodyCotangents, BodyGradient};
+use barchan_core::scene::Contact;
 use glam::{DMat3, DQuat, DVec3};
+
+/// How far a body turns in a step, and how that changes with its angular velocity: rapier takes so many parts of the step, and turns by 2 atan(ω dt / 2) in each.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Turn {
+    /// Axis times angle [rad].
+    pub(super) vector: DVec3,
+    slopes: DMat3,
+}
+
+impl Turn {
+    pub(super) fn of(spin: DVec3, dt: f64, parts: usize) -> Self {
+        let (speed, axis, parts) = (spin.length(), spin.normalize_or_zero(), parts as f64);
+        let half = 0.5 * speed * dt / parts;
+        let along = dt / (1.0 + half * half);
+        let across = if half > 0.0 { dt * half.atan() / half } else { dt };
+        let slopes = DMat3::from_diagonal(DVec3::splat(across)) + outer(axis, axis) * (along - across);
+        Self { vector: across * spin, slopes }
+    }
+}
 
 /// a ×, as a matrix.
 fn cross(a: DVec3) -> DMat3 {
@@ -22,9 +43,9 @@ fn add(to: &mut barchan_core::Vec3, by: DVec3) {
 }
 
 impl Body {
-    /// The step's last part, in which a body that answers moves by the twist that contact has left it, and comes to be at `after`: from what is owed to its state there to what is owed to
+    /// The step's last part, in which a body that answers moves by the twist that contact has left it, and a free one turns as `turn` says: from what is owed to its state there to what is owed to
     /// where it was, and to that twist, which is returned. Driven bodies are where they were told.
-    pub(super) fn advance_back(&self, dt: f64, after: &Pose, owed: &mut BodyCotangents) -> Twist {
+    pub(super) fn advance_back(&self, dt: f64, turn: &Turn, owed: &mut BodyCotangents) -> Twist {
         let [of_place, mut of_turn] = [owed.pose.position, owed.pose.rotation].map(DVec3::from_array);
         let [of_velocity, of_spin] = [owed.velocity, owed.angular_velocity].map(DVec3::from_array);
         let linear = of_velocity + dt * of_place;
@@ -38,12 +59,14 @@ impl Body {
             let of_momentum = inverse * owed;
             (of_momentum, (inverse * momentum).cross(owed) - momentum.cross(of_momentum))
         };
-        let (mut of_momentum, more) = spin_back(after, of_spin);
+        let by = DQuat::from_scaled_axis(turn.vector);
+        let after = Pose { rotation: (by * pose.rotation).normalize(), ..pose };
+        let (mut of_momentum, more) = spin_back(&after, of_spin);
         of_turn += more;
-        // R' = exp(dt ω_m) R.
+        // R' = exp(turn(ω_m)) R.
         let midway = self.midway_spin(dt);
-        let of_midway = dt * (turn_slopes(dt * midway).transpose() * of_turn);
-        of_turn = DQuat::from_scaled_axis(dt * midway).conjugate() * of_turn;
+        let of_midway = turn.slopes.transpose() * (turn_slopes(turn.vector).transpose() * of_turn);
+        of_turn = by.conjugate() * of_turn;
         // ω_m = I⁻¹ L at exp(dt ω_m / 2) R, which ω_m itself changes.
         let half = 0.5 * dt * midway;
         let there = pose.advanced(&Twist { linear: DVec3::ZERO, angular: midway }, 0.5 * dt);
@@ -68,10 +91,19 @@ impl Body {
         owed: &mut BodyCotangents,
         told: &mut BodyGradient,
     ) -> DVec3 {
-        told.friction += step.friction;
+        if matches!(self.contact, Contact::Coulomb { .. }) {
+            told.friction += step.friction;
+        }
         let after = DVec3::from_array(owed.pose.position);
         let after_turn = DVec3::from_array(owed.pose.rotation);
-        let Twist { linear, angular } = step.twist;
+        let mut twist = step.twist;
+        if self.answering().is_none() {
+            // It moves as it is told behind the step, too.
+            twist.linear += DVec3::from_array(owed.velocity);
+            twist.angular += DVec3::from_array(owed.angular_velocity);
+        }
+        (owed.velocity, owed.angular_velocity) = ([0.0; 3], [0.0; 3]);
+        let Twist { linear, angular } = twist;
         let mut of_gravity = DVec3::ZERO;
         let [impulse, angular_impulse] = [felt.force, felt.torque].map(|mean| dt * DVec3::from_array(mean));
         match &self.mover {

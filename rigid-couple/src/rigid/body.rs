@@ -13,6 +13,7 @@ use nalgebra::{Matrix6, Vector6};
 use serde::{Deserialize, Serialize};
 use std::sync::{Arc, OnceLock};
 
+#[derive(Clone)]
 pub(crate) struct Body {
     pub(super) name: String,
     /// About the reference point.
@@ -56,6 +57,7 @@ impl State {
     }
 }
 
+#[derive(Clone)]
 pub(super) enum Mover {
     Fixed,
     Path(KeyframePath),

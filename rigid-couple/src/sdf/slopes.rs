@@ -6,7 +6,7 @@ use glam::{DMat3, DVec3};
 
 /// Derivatives of a [`Surface`](super::Surface) by the place.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Slopes {
+pub(crate) struct Slopes {
     /// Of the distance: the normal, but beside sampled surfaces.
     pub distance: DVec3,
     /// Of the normal, a row for each of its components [1/m].
@@ -129,7 +129,7 @@ impl Part {
 
 impl Sdf {
     /// How the [surface that contact sees](Self::contact_surface) changes with the place, in the shape's frame.
-    pub fn contact_slopes(&self, x: DVec3, cell: f64) -> Slopes {
+    pub(crate) fn contact_slopes(&self, x: DVec3, cell: f64) -> Slopes {
         let nearest = self.nearest(|part| part.contact_surface(x, cell, f64::INFINITY));
         nearest.map_or_else(Slopes::default, |(_, part)| part.contact_slopes(x, cell))
     }

@@ -1,7 +1,7 @@
 //! Contact backwards: from what a loss owes to nodes behind contact to what it owes to nodes before it, to the particles that press, and to the bodies.
 
 use super::{Contact, Grip, Regime, System, Touch, Twist, add_outer, wrench_of};
-use crate::coupling::{Coupling, NodeBatch, Wrench};
+use crate::coupling::{Coupling, Group, NodeBatch, Wrench};
 use crate::{Error, Result, Vec3};
 use glam::DVec3;
 
@@ -94,6 +94,10 @@ impl Grip {
                 of_along -= of_taken;
             }
         }
+        // Without friction nothing is dragged, and the first of it would drag.
+        if let Self::Coulomb { friction: 0.0, .. } | Self::Bilateral { friction: 0.0, .. } = *self {
+            of_friction += hold * along.min(0.0) * tangential.normalize_or_zero().dot(owed);
+        }
         of_along -= normal.dot(of_tangential);
         of_normal -= along * of_tangential;
         let normal_owed = of_normal + of_along * u;
@@ -106,7 +110,7 @@ impl Contact {
     /// body in this step [1/(N s), 1/(N m s)], and `twists` what is owed to its twist behind contact. Returns what is owed to each body; of those that answer, to the twist without contact.
     ///
     /// # Errors
-    /// [`Error::Missing`] if a coupling [has no adjoint](Coupling::check_adjoint).
+    /// [`Error::Missing`] if a coupling [has no adjoint](Coupling::twin), [`Error::Body`] if the balance of a body that answers has no solution.
     pub fn meet_back(
         &self,
         couplings: &[Box<dyn Coupling>],
@@ -115,30 +119,35 @@ impl Contact {
         (impulses, twists): (&[Wrench], &[Twist]),
         near: &mut NearCotangents,
     ) -> Result<Vec<BodyInStep>> {
-        let bodies = couplings.iter().flat_map(|one| (0..one.wrenches().len()).map(move |b| (&**one, b)));
-        let of_body = |((((coupling, b), touches), impulse), twist): (((_, &Vec<Touch>), &Wrench), &Twist)| {
-            let (coupling, b): (&dyn Coupling, usize) = (coupling, b);
+        let groups: Vec<_> = couplings.iter().map(|coupling| coupling.groups()).collect();
+        let pairs = couplings.iter().zip(&groups);
+        let bodies = pairs.flat_map(|(one, groups)| (0..one.wrenches().len()).map(move |b| (&**one, groups, b)));
+        let of_body = |((((coupling, groups, b), touches), impulse), twist): (((_, &Vec<Touch>), &Wrench), &Twist)| {
+            let (coupling, groups, b): (&dyn Coupling, &Vec<Group>, usize) = (coupling, groups, b);
             let mut body = BodyInStep { twist: *twist, ..BodyInStep::default() };
             if touches.is_empty() {
                 return Ok(body);
             }
             let at = coupling.twist(b);
             let mut impulse = *impulse;
-            if let Some(group) = coupling.groups().into_iter().find(|group| group.bodies.contains(&b)) {
-                let balance = (group.bodies.len() == 1)
-                    .then(|| balance_back(coupling, b, (touches, nodes), &at, (&impulse, twist), near))
-                    .flatten()
-                    .ok_or_else(|| no_adjoint(coupling.name()))?;
+            if let Some(group) = groups.iter().find(|group| group.bodies.contains(&b)) {
+                if group.bodies.len() > 1 {
+                    return Err(no_adjoint(coupling.name()));
+                }
+                let balance = balance_back(coupling, b, (touches, nodes), &at, (&impulse, twist), &near.velocity);
+                let balance = balance.filter(Twist::is_finite).ok_or_else(|| Error::Body {
+                    path: format!("coupling '{}'", coupling.name()),
+                    what: "gradients: the balance of a body with the ground has no solution backwards".to_owned(),
+                    mend: "lower time.step, or record a shorter time".to_owned(),
+                })?;
                 for d in 0..3 {
                     impulse.force[d] += balance.linear[d];
                     impulse.torque[d] += balance.angular[d];
                 }
             }
             let grips = drive_back(touches, nodes, &at, &impulse, near, &mut body);
-            if coupling.touch_back(b, dt, nodes, (touches, &grips), near, &mut body) {
-                return Ok(body);
-            }
-            Err(no_adjoint(coupling.name()))
+            coupling.touch_back(b, dt, nodes, (touches, &grips), near, &mut body)?;
+            Ok(body)
         };
         bodies.zip(&self.touches).zip(impulses).zip(twists).map(of_body).collect()
     }
@@ -152,10 +161,11 @@ fn balance_back(
     (touches, nodes): (&[Touch], &NodeBatch),
     at: &Twist,
     (impulse, twist): (&Wrench, &Twist),
-    near: &NearCotangents,
+    velocity: &[Vec3],
 ) -> Option<Twist> {
     let mut owed = BodyInStep { twist: *twist, ..BodyInStep::default() };
-    drive_back(touches, nodes, at, impulse, &mut near.clone(), &mut owed);
+    let mut near = NearCotangents { velocity: velocity.to_vec(), mass: vec![0.0; nodes.len()], ..Default::default() };
+    drive_back(touches, nodes, at, impulse, &mut near, &mut owed);
     // Aᵀ = Σ Gᵀ m Dᵀ G, with D what is taken of a change of a node's velocity.
     let mut matrix = [[0.0; 6]; 6];
     for touch in touches {
@@ -179,9 +189,9 @@ pub(crate) fn no_adjoint(name: &str) -> Error {
         kind: "coupling",
         name: name.to_owned(),
         origin: "registered".to_owned(),
-        what: "an adjoint of what its bodies do to the ground".to_owned(),
+        what: "adjoint of what its bodies do to the ground".to_owned(),
         why: "gradients go back through all contact".to_owned(),
-        mend: "leave its bodies out: gradients go through tools, not yet through robots, free tools that may touch other tools, and other couplings"
+        mend: "leave its bodies out: gradients go through tools, but not yet through robots, free tools beside other tools, and other couplings"
             .to_owned(),
     }
 }
@@ -255,8 +265,15 @@ mod tests {
                     grip.kept(u + by * ways[0]).dot(owed)
                 };
                 let found = (left(1e-6) - left(-1e-6)) / 2e-6;
-                let given =
-                    of_u.dot(ways[0]) + of_grip.normal.dot(ways[1]) + 0.7 * of_grip.most + 0.4 * of_grip.friction;
+                let mut given = of_u.dot(ways[0]) + of_grip.normal.dot(ways[1]) + 0.7 * of_grip.most;
+                if let Grip::Coulomb { normal, friction: 0.0, most } = grip {
+                    // Friction can only grow.
+                    let rubbing = Grip::Coulomb { normal, friction: 1e-7, most };
+                    let found = (rubbing.kept(u) - grip.kept(u)).dot(owed) / 1e-7;
+                    assert!((found - of_grip.friction).abs() < 1e-6, "{grip:?} {u}: {} {found}", of_grip.friction);
+                } else {
+                    given += 0.4 * of_grip.friction;
+                }
                 assert!((found - given).abs() < 1e-8, "{grip:?} {u}: {given} {found}");
             }
         }

@@ -290,16 +290,29 @@ impl Judge {
             return broken(Rule::Gradient, "two threads give other bits than one");
         }
         let Some(later) = back(&second, loss.clone())? else { return Ok(()) };
-        let told = |gradient: &Gradient| gradient.bodies.iter().map(|body| body.linear).collect::<Vec<Vec3>>();
+        let told = |gradient: &Gradient| {
+            gradient.bodies.iter().flat_map(|body| [body.linear, body.angular]).collect::<Vec<Vec3>>()
+        };
         let (told_later, mut between) = (told(&later), later.particles);
         // What a tool feels over both, and what it is told in both.
         between.bodies.iter_mut().zip(&loss.bodies).for_each(|(body, loss)| body.impulse = loss.impulse);
         let Some(parted) = back(&first, between)? else { return Ok(()) };
         let places = |gradient: &Gradient| {
-            gradient.particles.bodies.iter().map(|body| body.pose.position).collect::<Vec<Vec3>>()
+            gradient
+                .particles
+                .bodies
+                .iter()
+                .flat_map(|body| [body.pose.position, body.pose.rotation])
+                .collect::<Vec<Vec3>>()
         };
-        let thrown =
-            |gradient: &Gradient| gradient.particles.bodies.iter().map(|body| body.velocity).collect::<Vec<Vec3>>();
+        let thrown = |gradient: &Gradient| {
+            gradient
+                .particles
+                .bodies
+                .iter()
+                .flat_map(|body| [body.velocity, body.angular_velocity])
+                .collect::<Vec<Vec3>>()
+        };
         let both: Vec<Vec3> =
             told(&parted).into_iter().zip(told_later).map(|(a, b)| std::array::from_fn(|d| a[d] + b[d])).collect();
         for (what, whole, parted) in [

@@ -247,11 +247,7 @@ fn what_gradients_do_not_go_through_is_refused_by_name() {
     let soft = [damped("hencky", 1000.0, "young_modulus = 2e4", 1e-4), ground[1].clone(), AWAKE.into()];
     let cases = [
         (with(&[]), "'sleep'", "sleep.on = false"),
-        (
-            with(&[AWAKE.into(), free.clone(), free.replace("plate", "other")]),
-            "coupling 'robots'",
-            "free tools that may touch",
-        ),
+        (with(&[AWAKE.into(), free.clone(), free.replace("plate", "other")]), "coupling 'robots'", "free tools beside"),
         (with(&[AWAKE.into(), late]), "tool 'plate'", "leave out from"),
         (with(&[AWAKE.into(), levels]), "'adapt'", "one level"),
         (simulation(&head.with(&soft), Precision::F64), "damping", "leave it out"),

@@ -3,7 +3,7 @@
 
 use barchan::environment::{Environment, Step};
 use barchan::parameter::{Kind, Parameter, Range, Table};
-use barchan::{Command, Error, Options, Precision, Registry, Scene, Simulation};
+use barchan::{Command, Cotangents, Error, Options, Precision, Registry, Scene, Simulation, Tape};
 use barchan_tests::scenes::{Row, options, rows, scene};
 use barchan_tests::sketch::{Head, block, half, material, tool};
 
@@ -165,6 +165,48 @@ fn bodies_from_outside_grip_the_ground() {
     assert!(one.0[1] > 0.1 * mass * (1.0 - (1.0f64 + 5.0 * dt).powi(-steps)), "{:?}", one.0);
     let apart = one.3.iter().zip(&other.3).flat_map(|(a, b)| (0..3).map(|d| (a.x[d] - b.x[d]).abs()));
     assert!(apart.fold(0.0, f64::max) == 0.0, "their order in the scene matters");
+}
+
+/// Gradients go through bodies of a coupling from outside that has what they need: by how fast rollers turn, where they are and how they rub, they are differences of runs. A coupling
+/// that has not is refused by its name.
+#[test]
+fn gradients_go_through_bodies_from_outside() {
+    let run = |rate: f64, friction: f64, x: f64| {
+        let rollers = format!(
+            "[[coupling]]\nkind = \"rollers\"\nparameters = {{ radius = 0.3, gap = 0.3, x = {x:?}, z = 0.1, rate = {rate:?}, friction = {friction:?} }}\n"
+        );
+        let text = Head::space(0.05).time("step = 1e-3").with(&[
+            "[sleep]\non = false\n".to_owned(),
+            cube("velocity = [0.1, 0, -0.3]").concat(),
+            rollers,
+        ]);
+        let mut sim = Simulation::new(&registry(), &scene(&text), &options(Precision::F64)).unwrap();
+        sim.record(&registry(), 0.015).unwrap_or_else(|e| panic!("{e}"))
+    };
+    let fallen = |tape: &Tape| tape.end().position.iter().map(|x| x[2] + 0.3 * x[0]).sum::<f64>();
+    let tape = run(2.0, 0.4, 0.01);
+    let mut loss = Cotangents::zero(tape.end().id.len());
+    loss.position.fill([0.3, 0.0, 1.0]);
+    let found = tape.pull_back(loss).unwrap_or_else(|e| panic!("{e}"));
+    let both = |of: &dyn Fn(usize) -> f64| of(0) + of(1);
+    // The right one turns the other way.
+    let by_rate = found.bodies[0].angular[1] - found.bodies[1].angular[1];
+    let by_friction = both(&|b| found.bodies[b].friction);
+    let by_place = both(&|b| found.particles.bodies[b].pose.position[0]);
+    for (what, given, step, at) in [
+        ("rate", by_rate, 1e-3, &(|by: f64| run(2.0 + by, 0.4, 0.01)) as &dyn Fn(f64) -> Tape),
+        ("friction", by_friction, 1e-4, &|by| run(2.0, 0.4 + by, 0.01)),
+        ("place", by_place, 1e-6, &|by| run(2.0, 0.4, 0.01 + by)),
+    ] {
+        let difference = (fallen(&at(step)) - fallen(&at(-step))) / (2.0 * step);
+        println!("{what}: {given:.8e} {difference:.8e}");
+        assert!((given - difference).abs() < 1e-4 * difference.abs(), "{what}: {given} {difference}");
+    }
+    let current = current("", "rate = 5, velocity = [0, 1, 0]");
+    let text = Head::space(0.05).with(&["[sleep]\non = false\n".to_owned(), cube("").concat(), current]);
+    let mut sim = Simulation::new(&registry(), &scene(&text), &options(Precision::F64)).unwrap();
+    let refusal = sim.record(&registry(), 0.01).unwrap_err().to_string();
+    assert!(refusal.contains("coupling 'current' (registered) has no adjoint"), "{refusal}");
 }
 
 /// Each entry makes a coupling of its own: two currents act one after the other, u' = (u + k dt w) / (1 + k dt) for each, their wrenches and names are told

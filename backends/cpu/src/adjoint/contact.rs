@@ -2,10 +2,13 @@
 
 use super::{CpuAdjoint, Nodes, Step};
 use barchan_abi as abi;
+use barchan_core::account::BATCH;
+use barchan_core::batch::{Matter, Motion, Owed, Plane};
 use barchan_core::contact::Contact;
 use barchan_core::contact::adjoint::{BodyInStep, NearCotangents};
 use barchan_core::coupling::{Moved, begin_step};
 use barchan_core::gradient::Gradient;
+use barchan_core::material::ErrorBuffer;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, ParticleState, Plan, Result, Vec3, Wrench};
 use barchan_grid::block::{self, CELLS};
@@ -27,7 +30,7 @@ impl Ground {
         }
         let moduli =
             plan.materials.iter().map(|planned| planned.contact_modulus(&plan.scene)).collect::<Result<_>>()?;
-        let slopes = plan.materials.iter().map(|planned| modulus_slopes(planned, plan)).collect::<Result<_>>()?;
+        let slopes = plan.materials.iter().map(modulus_slopes).collect::<Result<_>>()?;
         Ok(Self { moduli, slopes })
     }
 
@@ -41,23 +44,65 @@ impl Ground {
     }
 }
 
-/// How the stiffness that bodies find changes with each differentiable parameter, by differences to the fourth order: laws tell it in f32, of which a step of a fiftieth leaves five digits.
-fn modulus_slopes(planned: &PlannedMaterial, plan: &Plan) -> Result<Vec<f64>> {
-    let slope = |i: usize| {
-        let value = planned.parameters[i];
-        let step = 0.02 * value.abs();
-        let is_differentiable = planned.material.parameters[i].flags & abi::BARCHAN_PARAM_DIFFERENTIABLE != 0;
-        if !is_differentiable || step == 0.0 {
-            return Ok(0.0);
+/// How the stiffness that bodies find changes with each differentiable parameter, by differences to the fourth order: of shorter and shorter steps the two are taken that agree best.
+fn modulus_slopes(planned: &PlannedMaterial) -> Result<Vec<f64>> {
+    let mut slopes = vec![0.0; planned.parameters.len()];
+    // Of other laws it is what the scene's step bears.
+    if planned.material.table.tangent_moduli_f32.is_none() {
+        return Ok(slopes);
+    }
+    for (i, slope) in slopes.iter_mut().enumerate() {
+        if planned.material.parameters[i].flags & abi::BARCHAN_PARAM_DIFFERENTIABLE == 0 {
+            continue;
         }
+        let value = planned.parameters[i];
+        let scale = if value == 0.0 { 1.0 } else { value.abs() };
         let at = |by: f64| {
-            let mut other = planned.clone();
-            other.parameters[i] = value + by * step;
-            other.contact_modulus(&plan.scene)
+            let mut parameters = planned.parameters.clone();
+            parameters[i] = value + by;
+            p_wave(planned, &parameters)
         };
-        Ok((8.0 * (at(1.0)? - at(-1.0)?) - (at(2.0)? - at(-2.0)?)) / (12.0 * step))
+        let difference = |k: i32| -> Result<f64> {
+            let step = 1e-3 * scale * 0.5f64.powi(k);
+            Ok((8.0 * (at(step)? - at(-step)?) - (at(2.0 * step)? - at(-2.0 * step)?)) / (12.0 * step))
+        };
+        let found: Vec<f64> = (0..12).map(difference).collect::<Result<_>>()?;
+        let pairs = found.windows(2).map(|pair| ((pair[0] - pair[1]).abs(), pair[1]));
+        *slope = pairs.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, slope)| slope);
+    }
+    Ok(slopes)
+}
+
+/// λ + 2μ with these parameters, of the undeformed material squeezed by a millionth: without stress sand stands at the tip of its cone, where a little more may yield [Pa].
+fn p_wave(planned: &PlannedMaterial, parameters: &[f64]) -> Result<f64> {
+    const SQUEEZED: f64 = 1.0 - 1e-6;
+    let law = &planned.material;
+    let planes = law.strain_identity().len();
+    // Of F, or of b, which is its square.
+    let (stretch, per_stretch) = if planes == 9 { (SQUEEZED, 1.0) } else { (SQUEEZED * SQUEEZED, 2.0 * SQUEEZED) };
+    let strain: Vec<_> = law.strain_identity().iter().map(|entry| Plane([entry * stretch; BATCH])).collect();
+    let state: Vec<_> = law.states.iter().map(|state| Plane([state.initial; BATCH])).collect();
+    let mut kirchhoff = [Plane::default(); 6];
+    kirchhoff[0].0[0] = 1.0;
+    let none = |count: usize| vec![Plane::<f64, BATCH>::default(); count];
+    let (of_strain, of_state) = (none(planes), none(state.len()));
+    let (mut trial, mut vel_grad, mut state_before) = (none(planes), [Plane::default(); 9], none(state.len()));
+    let mut of_parameters = vec![0.0; parameters.len()];
+    let owed = Owed {
+        strain: &of_strain,
+        kirchhoff: &kirchhoff,
+        state: &of_state,
+        trial: &mut trial,
+        vel_grad: &mut vel_grad,
+        state_before: &mut state_before,
+        parameters: &mut of_parameters,
     };
-    (0..planned.parameters.len()).map(slope).collect()
+    let still = [Plane::default(); 9];
+    let mut error = ErrorBuffer::default();
+    let matter = Matter { count: 1, parameters, strain: &strain, state: &state };
+    let status = law.pull_back(&matter, Motion { dt: 1e-6, vel_grad: &still }, owed, &mut error).expect(super::ASKED);
+    error.check(status, law, "update_adj_f64", |_| u64::MAX)?;
+    Ok(trial[0].0[0] * per_stretch)
 }
 
 /// What goes back to a particle by what it pressed with.
@@ -116,9 +161,10 @@ impl Met {
                 return Ok(());
             }
             *of_particles = around.gather_particles(near_particles, of_nodes, nodes);
-            let mut met = nodes.clone();
-            act(&mut met)?;
-            for (node, [x, y, z]) in of_nodes.iter().zip(met.velocity) {
+            let before = nodes.velocity.clone();
+            act(nodes)?;
+            let after = std::mem::replace(&mut nodes.velocity, before);
+            for (node, [x, y, z]) in of_nodes.iter().zip(after) {
                 let velocity = velocities.get_mut(*node);
                 *velocity = [x, y, z, velocity[3]];
             }
@@ -157,7 +203,7 @@ impl Met {
         let bodies = couplings.iter().flat_map(|one| (0..one.wrenches().len()).map(move |body| (one, body)));
         let told = gradient.particles.bodies.iter_mut().zip(&mut gradient.bodies);
         for (((coupling, body), found), (owed, told)) in bodies.zip(&found).zip(told) {
-            let of_gravity = coupling.begin_back(body, step.time, step.dt, found, owed, told);
+            let of_gravity = coupling.begin_back(body, step.time, step.dt, found, owed, told)?;
             (0..3).for_each(|d| gradient.gravity[d] += step.grown * of_gravity[d]);
         }
         for ((node, [x, y, z]), mass) in self.of_nodes.iter().zip(near.velocity).zip(near.mass) {
@@ -201,9 +247,8 @@ impl Around<'_> {
             for (i, number) in numbers.iter().enumerate() {
                 let (cell, position) = (list.cell[i], list.position(i));
                 let key = block::of_cell(cell);
-                let near = boxes_near
-                    .entry(key)
-                    .or_insert_with(|| boxes_near_block(boxes, key.map(|k| k * block::SIDE), h, 1.5 * h, periods));
+                let images = || boxes_near_block(boxes, key.map(|k| k * block::SIDE), h, 1.5 * h, periods);
+                let near = if periods == [0; 3] { boxes } else { boxes_near.entry(key).or_insert_with(images) };
                 if !near.iter().any(|one| one.contains(position)) {
                     continue;
                 }

@@ -168,9 +168,9 @@ class BodyGradient:
     position: NDArray[np.float64]
     """By its position at the start of the tape [1/m], (3,); 0 if it moves along keyframes."""
     rotation: NDArray[np.float64]
-    """By its rotation there, as a small turn about the world's axes on top of it [1/rad], (3,); 0 if it moves along keyframes."""
+    """By its rotation there, as a small turn on top of it, about axes through its position along the world's [1/rad], (3,); 0 if it moves along keyframes."""
     velocity: NDArray[np.float64]
-    """By its velocity at the start, if it is free or a force pushes it [s/m], (3,)."""
+    """By its velocity at the start, if it is free or a force pushes it [s/m], (3,); of a driven one see `linear`."""
     angular_velocity: NDArray[np.float64]
     """By its angular velocity at the start, if it is free [s/rad], (3,)."""
     linear: NDArray[np.float64]
@@ -182,9 +182,9 @@ class BodyGradient:
     friction: float
     """By its coefficient of friction; 0 for contact that knows none."""
     mass: float
-    """By its mass, with which its inertia grows, if it is free or a force pushes it [1/kg]."""
+    """By its mass, with which its inertia grows, if it is free or a force pushes it [1/kg]. Where the scene gives a servo none, `force` counts it in."""
     force: float
-    """By the whole force of its servo [1/N], with the mass that follows it where the scene gives none."""
+    """By the whole force of its servo [1/N], with the mass that follows it where the scene gives none; by a pressure it is the area times that."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,9 +3,11 @@
 //! A scene calls for them by `[[coupling]] kind = "rollers"`. They are cylinders along y, without end, their axes at a height `z` [m] on either side of
 //! `x` [m], with a `gap` [m] between their surfaces. They turn at `rate` [rad/s] and rub the ground with a coefficient of `friction`.
 
+use barchan::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents};
 use barchan::contact::{Grip, Reaction, Touch, Twist};
 use barchan::coupling::{Aabb, DeviceLaw};
 use barchan::glam::DVec3;
+use barchan::gradient::{BodyCotangents, BodyGradient};
 use barchan::parameter::{Parameter, Range};
 use barchan::registries::CouplingSetup;
 use barchan::{BodyState, Command, Coupling, Error, NodeBatch, Registry, Result, Vec3, Wrench};
@@ -124,6 +126,45 @@ impl Coupling for Rollers {
             max: [axis.x + self.radius, self.world.max[1], axis.z + self.radius],
         };
         self.axes.iter().map(of_body).collect()
+    }
+    fn twin(&self) -> Result<Box<dyn Coupling>> {
+        Ok(Box::new(self.clone()))
+    }
+    fn advance_back(&mut self, _: usize, _: f64, _: &mut BodyCotangents) -> Result<Twist> {
+        // They turn as they are told, whatever they felt.
+        Ok(Twist::default())
+    }
+    fn touch_back(
+        &self,
+        body: usize,
+        _: f64,
+        nodes: &NodeBatch,
+        (touches, grips): (&[Touch], &[GripCotangent]),
+        _: &mut NearCotangents,
+        owed: &mut BodyInStep,
+    ) -> Result<()> {
+        for (touch, grip) in touches.iter().zip(grips) {
+            // The normal is the direction from the axis to the node, and nothing bounds the grip.
+            let across = self.across(body, DVec3::from_array(nodes.position[touch.node]));
+            let normal = across.normalize();
+            let of_point = (grip.normal - normal.dot(grip.normal) * normal) / across.length();
+            owed.position -= DVec3::new(of_point.x, 0.0, of_point.z);
+        }
+        Ok(())
+    }
+    fn begin_back(
+        &self,
+        _: usize,
+        _: f64,
+        _: f64,
+        step: &BodyInStep,
+        owed: &mut BodyCotangents,
+        told: &mut BodyGradient,
+    ) -> Result<Vec3> {
+        told.friction += step.friction;
+        told.angular[1] += step.twist.angular.y;
+        (0..3).for_each(|d| owed.pose.position[d] += step.position[d]);
+        Ok([0.0; 3])
     }
     fn touch(&mut self, body: usize, _: f64, nodes: &NodeBatch, touches: &mut Vec<Touch>) {
         for (node, position) in nodes.position.iter().enumerate() {
