@@ -13,7 +13,7 @@ use barchan_core::gradient::{BodyCotangents, BodyGradient};
 use barchan_core::scene::Contact;
 use glam::{DMat3, DQuat, DVec3};
 
-/// How far a body turns in a step, and how that changes with its angular velocity: rapier takes so many parts of the step, and turns by 2 atan(ω dt / 2) in each.
+/// How far a body turns in a step, and how that changes with its angular velocity: rapier takes so many parts of the step, and turns by 2 atan(ω t / 2) in each, of the length t.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Turn {
     /// Axis times angle [rad].

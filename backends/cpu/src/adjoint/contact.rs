@@ -1,6 +1,6 @@
 //! Bodies in a step backwards: they meet the nodes and particles near them as they did, and what a loss owes goes back through that.
 
-use super::{CpuAdjoint, Nodes, Step};
+use super::{ASKED, CpuAdjoint, Nodes, Step};
 use barchan_abi as abi;
 use barchan_core::account::BATCH;
 use barchan_core::batch::{Matter, Motion, Owed, Plane};
@@ -100,7 +100,7 @@ fn p_wave(planned: &PlannedMaterial, parameters: &[f64]) -> Result<f64> {
     let still = [Plane::default(); 9];
     let mut error = ErrorBuffer::default();
     let matter = Matter { count: 1, parameters, strain: &strain, state: &state };
-    let status = law.pull_back(&matter, Motion { dt: 1e-6, vel_grad: &still }, owed, &mut error).expect(super::ASKED);
+    let status = law.pull_back(&matter, Motion { dt: 1e-6, vel_grad: &still }, owed, &mut error).expect(ASKED);
     error.check(status, law, "update_adj_f64", |_| u64::MAX)?;
     Ok(trial[0].0[0] * per_stretch)
 }
