@@ -9,8 +9,9 @@
 //! The law is that of [`barchan_core::contact`]: its normal lies along the sum of the forces, and their size bounds it. In the core of thin plates (see
 //! [`Sdf::contact_surface`]) it holds both ways, and nodes deeper than two cells, which no particle outside reaches, move with the body.
 
+use crate::mass::outer;
 use crate::motion::Pose;
-use crate::sdf::{Sdf, Surface, outer};
+use crate::sdf::{Sdf, Surface};
 use barchan_core::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents};
 use barchan_core::contact::{Grip, Touch};
 use barchan_core::scene::Contact;
@@ -204,11 +205,11 @@ pub(crate) fn touch_back(
         }
     }
     for (i, (particle, press)) in nodes.particles.iter().zip(&presses).enumerate() {
-        let Some(press) = *press else { continue };
+        let Some(press) = press.map(|press| to_world * press) else { continue };
         let cube = nodes.cubes[particle.cube as usize].iter();
         let (mut owed, mut of_place) = (DVec3::ZERO, DVec3::ZERO);
         let weights = particle.weights().into_iter().zip(particle.weight_slopes());
-        for ((&node, (weight, slopes)), press) in cube.zip(weights).zip(std::iter::repeat(to_world * press)) {
+        for (&node, (weight, slopes)) in cube.zip(weights) {
             if node != NodeBatch::NONE {
                 let of_force = of_forces[node as usize];
                 owed += weight * of_force;
@@ -225,7 +226,6 @@ pub(crate) fn touch_back(
         let (size, slope) = pressing(particle, distance);
         let slopes = shape.contact_slopes(meeting.local(at), cell);
         let rows = turned(outer(slope * normal, slopes.distance) + slopes.normal * size);
-        let press = to_world * press;
         let of_point = owe(DVec3::from_array(at) - pose.position, press, rows, owed) + of_place / cell;
         (0..3).for_each(|d| near.position[i][d] += of_point[d]);
         near.modulus[i] += press.dot(owed) / particle.modulus;

@@ -51,11 +51,16 @@ impl Pose {
     }
 }
 
+/// a ×, as a matrix.
+pub(crate) fn cross_matrix(a: DVec3) -> DMat3 {
+    DMat3::from_cols(a.cross(DVec3::X), a.cross(DVec3::Y), a.cross(DVec3::Z))
+}
+
 /// How the rotation by a vector changes with it: the small turn about the world's axes on top of it that a small change makes [rad/rad] (the left Jacobian of the rotations;
 /// Solà et al. 2018, *A micro Lie theory for state estimation in robotics*, eq. 145).
 pub(crate) fn turn_slopes(vector: DVec3) -> DMat3 {
     let angle = vector.length();
-    let cross = DMat3::from_cols(vector.cross(DVec3::X), vector.cross(DVec3::Y), vector.cross(DVec3::Z));
+    let cross = cross_matrix(vector);
     // (1 - cos a) / a² and (a - sin a) / a³.
     let (first, second) = if angle < 1e-3 {
         (0.5 - angle * angle / 24.0, 1.0 / 6.0 - angle * angle / 120.0)

@@ -441,9 +441,8 @@ impl Coupling for Rigid {
             let after = std::mem::replace(&mut self.bodies[body].state, before);
             let Twist { linear, .. } = before.twist;
             let place = before.pose.position + dt * linear;
-            let rotation = (DQuat::from_scaled_axis(turn.vector) * before.pose.rotation).normalize();
             let off = (after.pose.position - place).length() + (after.twist.linear - linear).length() * dt;
-            let turned = (after.pose.rotation * rotation.conjugate()).xyz().length();
+            let turned = (after.pose.rotation * turn.after(before.pose.rotation).conjugate()).xyz().length();
             if off > 1e-9 * (self.scene.world.cell + dt * linear.length()) || turned > 1e-9 {
                 let what = "gradients: a wall of the world has pushed it, and they do not go through that";
                 let refusal = Refusal::new(what, "record a shorter time, or make the world larger");

@@ -6,8 +6,6 @@
 
 mod slopes;
 
-pub(crate) use slopes::outer;
-
 use crate::Refusal;
 use crate::mesh::{DistanceGrid, TriangleMesh};
 use crate::motion::{Pose, rotation_from};

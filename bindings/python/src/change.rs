@@ -1,6 +1,6 @@
 //! Particles that Python changes.
 
-use crate::given::Numbers;
+use crate::given::{Numbers, rows};
 use barchan::{Error, ParticleState, Simulation, Vec3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
@@ -14,27 +14,6 @@ pub(crate) struct Change {
     affine: Option<Vec<[f64; 9]>>,
 }
 
-fn rows<const N: usize>(given: Option<Numbers<'_>>, what: &str, count: usize) -> PyResult<Option<Vec<[f64; N]>>> {
-    let Some(given) = given else { return Ok(None) };
-    let given = given.as_array();
-    if given.shape() != [count, N] {
-        return Err(PyValueError::new_err(format!(
-            "{what}: its shape is {:?}; it should be ({count}, {N}), a row for each particle in the order of id",
-            given.shape()
-        )));
-    }
-    let row = |row: numpy::ndarray::ArrayView1<'_, f64>| std::array::from_fn(|d| row[d]);
-    Ok(Some(
-        given
-            .into_dimensionality::<numpy::Ix2>()
-            .expect("its shape has two numbers")
-            .rows()
-            .into_iter()
-            .map(row)
-            .collect(),
-    ))
-}
-
 impl Change {
     /// Of the particles with these numbers: positions, velocities and affine matrices, a row each.
     pub(crate) fn new(id: Vec<u64>, [position, velocity, affine]: [Option<Numbers<'_>>; 3]) -> PyResult<Self> {
@@ -43,9 +22,9 @@ impl Change {
         }
         let count = id.len();
         Ok(Self {
-            position: rows(position, "position", count)?,
-            velocity: rows(velocity, "velocity", count)?,
-            affine: rows(affine, "affine", count)?,
+            position: rows(position.as_ref(), "position", count, "of id")?,
+            velocity: rows(velocity.as_ref(), "velocity", count, "of id")?,
+            affine: rows(affine.as_ref(), "affine", count, "of id")?,
             id,
         })
     }

@@ -122,6 +122,24 @@ pub(crate) fn axes(values: Option<Vec<f64>>, what: &str) -> PyResult<[f64; 3]> {
     Ok(numbers(values, what, "x, y and z")?.unwrap_or_default())
 }
 
+/// Rows of so many particles, N numbers each, in the order that the message names.
+pub(crate) fn rows<const N: usize>(
+    given: Option<&Numbers<'_>>,
+    what: &str,
+    count: usize,
+    order: &str,
+) -> PyResult<Option<Vec<[f64; N]>>> {
+    let Some(given) = given else { return Ok(None) };
+    let given = given.as_array();
+    if given.shape() != [count, N] {
+        return Err(PyValueError::new_err(format!(
+            "{what}: its shape is {:?}; it should be ({count}, {N}), a row for each particle in the order {order}",
+            given.shape()
+        )));
+    }
+    Ok(Some(given.rows().into_iter().map(|row| std::array::from_fn(|d| row[d])).collect()))
+}
+
 /// Blows for so many worlds.
 pub(crate) fn blows(impulse: &Numbers<'_>, angular: Option<&Numbers<'_>>, worlds: usize) -> PyResult<Vec<Command>> {
     let all = per_world(Some(impulse), "impulse", worlds)?.into_iter();

@@ -1,7 +1,7 @@
 //! Gradients: the classes `Tape` and `Gradient`.
 
 use crate::errors::OrRaise;
-use crate::given::{Numbers, axes};
+use crate::given::{Numbers, axes, rows};
 use crate::machine::SLICE;
 use crate::records;
 use barchan::gradient::{BodyCotangents, BodyGradient, Moment};
@@ -47,20 +47,10 @@ pub(crate) struct Tape {
     pub(crate) tape: barchan::Tape,
 }
 
-/// Rows of a cotangent, or zeros.
+/// Adds the rows of a cotangent, if there are any.
 fn cotangent(given: Option<&Numbers<'_>>, what: &str, to: &mut [Vec3]) -> PyResult<()> {
-    let Some(given) = given else { return Ok(()) };
-    let given = given.as_array();
-    if given.shape() != [to.len(), 3] {
-        return Err(PyValueError::new_err(format!(
-            "{what}: its shape is {:?}; it should be ({}, 3), a row for each particle in the order of their numbers",
-            given.shape(),
-            to.len()
-        )));
-    }
-    for (row, to) in given.rows().into_iter().zip(to) {
-        (0..3).for_each(|d| to[d] += row[d]);
-    }
+    let rows = rows::<3>(given, what, to.len(), "of their numbers")?.unwrap_or_default();
+    to.iter_mut().zip(rows).for_each(|(to, row)| (0..3).for_each(|d| to[d] += row[d]));
     Ok(())
 }
 

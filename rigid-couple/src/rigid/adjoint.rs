@@ -4,8 +4,8 @@
 //! the angular velocity half-way (implicit midpoint), with the angular momentum L = I V that contact has left it. Rapier turns it by a little less than that says (`Turn`).
 
 use super::body::{Body, Guided, Mover, turned};
-use crate::motion::{Pose, turn_slopes};
-use crate::sdf::outer;
+use crate::mass::outer;
+use crate::motion::{Pose, cross_matrix, turn_slopes};
 use barchan_core::Wrench;
 use barchan_core::contact::Twist;
 use barchan_core::contact::adjoint::BodyInStep;
@@ -17,7 +17,7 @@ use glam::{DMat3, DQuat, DVec3};
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Turn {
     /// Axis times angle [rad].
-    pub(super) vector: DVec3,
+    vector: DVec3,
     slopes: DMat3,
 }
 
@@ -30,11 +30,11 @@ impl Turn {
         let slopes = DMat3::from_diagonal(DVec3::splat(across)) + outer(axis, axis) * (along - across);
         Self { vector: across * spin, slopes }
     }
-}
 
-/// a ×, as a matrix.
-fn cross(a: DVec3) -> DMat3 {
-    DMat3::from_cols(a.cross(DVec3::X), a.cross(DVec3::Y), a.cross(DVec3::Z))
+    /// Its rotation behind the step.
+    pub(super) fn after(&self, rotation: DQuat) -> DQuat {
+        (DQuat::from_scaled_axis(self.vector) * rotation).normalize()
+    }
 }
 
 /// Adds to what is owed to a vector.
@@ -59,18 +59,17 @@ impl Body {
             let of_momentum = inverse * owed;
             (of_momentum, (inverse * momentum).cross(owed) - momentum.cross(of_momentum))
         };
-        let by = DQuat::from_scaled_axis(turn.vector);
-        let after = Pose { rotation: (by * pose.rotation).normalize(), ..pose };
+        let after = Pose { rotation: turn.after(pose.rotation), ..pose };
         let (mut of_momentum, more) = spin_back(&after, of_spin);
         of_turn += more;
         // R' = exp(turn(ω_m)) R.
         let midway = self.midway_spin(dt);
         let of_midway = turn.slopes.transpose() * (turn_slopes(turn.vector).transpose() * of_turn);
-        of_turn = by.conjugate() * of_turn;
+        of_turn = DQuat::from_scaled_axis(turn.vector).conjugate() * of_turn;
         // ω_m = I⁻¹ L at exp(dt ω_m / 2) R, which ω_m itself changes.
         let half = 0.5 * dt * midway;
         let there = pose.advanced(&Twist { linear: DVec3::ZERO, angular: midway }, 0.5 * dt);
-        let turning = turned(inverse_inertia, &there) * cross(momentum) - cross(midway);
+        let turning = turned(inverse_inertia, &there) * cross_matrix(momentum) - cross_matrix(midway);
         let own = DMat3::IDENTITY - turning * turn_slopes(half) * (0.5 * dt);
         let (more_momentum, more) = spin_back(&there, own.transpose().inverse() * of_midway);
         of_momentum += more_momentum;

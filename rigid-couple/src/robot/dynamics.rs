@@ -4,7 +4,7 @@
 //! [rad/s]; then, for all robots, come the rates of its drives.
 
 use super::model::{Freedom, RobotModel};
-use crate::motion::Pose;
+use crate::motion::{Pose, cross_matrix};
 use barchan_core::contact::Twist;
 use glam::{DMat3, DVec3};
 use nalgebra::{DMatrix, DVector, Matrix6};
@@ -248,7 +248,7 @@ pub fn inertia_of_all(model: &RobotModel, places: &[Place]) -> Matrix6<f64> {
     for (link, place) in model.links.iter().zip(places).filter(|(link, _)| link.mass > 0.0) {
         let arm = place.centre - base;
         // A velocity of the base's centre of mass and a turn about it move the link's by v + w × arm.
-        let cross = DMat3::from_cols(arm.cross(DVec3::X), arm.cross(DVec3::Y), arm.cross(DVec3::Z));
+        let cross = cross_matrix(arm);
         let about = place.inertia - link.mass * (cross * cross);
         for i in 0..3 {
             sums[(i, i)] += link.mass;

@@ -1,6 +1,7 @@
 //! How distance and normal of a surface change with the place, for gradients.
 
 use super::{HeightField, Part, Primitive, Sdf};
+use crate::mass::outer;
 use crate::mesh::DistanceGrid;
 use glam::{DMat3, DVec3};
 
@@ -11,11 +12,6 @@ pub(crate) struct Slopes {
     pub distance: DVec3,
     /// Of the normal, a row for each of its components [1/m].
     pub normal: DMat3,
-}
-
-/// a bᵀ.
-pub(crate) fn outer(a: DVec3, b: DVec3) -> DMat3 {
-    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
 }
 
 /// How the direction of `v` changes, where `v` changes as the rows say.
