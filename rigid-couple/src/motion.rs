@@ -72,7 +72,7 @@ pub(crate) fn turn_slopes(vector: DVec3) -> DMat3 {
 }
 
 /// Axis times angle of a rotation, the shorter way round [rad]; accurate for the smallest angles too.
-fn rotation_vector(q: DQuat) -> DVec3 {
+pub(crate) fn rotation_vector(q: DQuat) -> DVec3 {
     let q = if q.w < 0.0 { -q } else { q };
     let sine = q.xyz().length();
     // 2 asin(s) / s -> 2 for small s.

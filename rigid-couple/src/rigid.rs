@@ -14,9 +14,10 @@ use adjoint::Turn;
 use barchan_core::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{
-    Aabb, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Kept, Leashes, Moved, Placed,
+    Aabb, BodiesOwed, BodiesTold, DeviceAnswer, DeviceBody, DeviceGroup, DeviceLaw, Group, GroupState, GroupStep, Kept,
+    Leashes, Moved, Placed,
 };
-use barchan_core::gradient::{BodyCotangents, BodyGradient};
+use barchan_core::gradient::BodyCotangents;
 use barchan_core::plan::TOOL_COUPLING;
 use barchan_core::scene::{INSTANT, Motion, Tool};
 use barchan_core::{BodyState, Command, Coupling, Error, NodeBatch, Result, Scene, Surface, Vec3, Wrench};
@@ -238,6 +239,27 @@ impl Rigid {
         Some(leash)
     }
 
+    /// A body's part of [`advance_back`](Coupling::advance_back).
+    fn advance_body_back(&mut self, body: usize, dt: f64, owed: &mut BodyCotangents) -> Result<Twist> {
+        let before = self.bodies[body].state;
+        let mut turn = Turn::default();
+        if let (true, Some(world)) = (self.bodies[body].is_free(), &self.world) {
+            turn = Turn::of(self.bodies[body].midway_spin(dt), dt, world.substeps());
+            self.move_free_body(dt)?;
+            let after = std::mem::replace(&mut self.bodies[body].state, before);
+            let Twist { linear, .. } = before.twist;
+            let place = before.pose.position + dt * linear;
+            let off = (after.pose.position - place).length() + (after.twist.linear - linear).length() * dt;
+            let turned = (after.pose.rotation * turn.after(before.pose.rotation).conjugate()).xyz().length();
+            if off > 1e-9 * (self.scene.world.cell + dt * linear.length()) || turned > 1e-9 {
+                let what = "gradients: a wall of the world has pushed it, and they do not go through that";
+                let refusal = Refusal::new(what, "record a shorter time, or make the world larger");
+                return Err(refusal.at(&format!("tool '{}'", self.bodies[body].name)));
+            }
+        }
+        Ok(self.bodies[body].advance_back(dt, &turn, owed))
+    }
+
     /// Lets rapier move the free body, if there is one, with the velocities that gravity and ground gave it.
     fn move_free_body(&mut self, dt: f64) -> Result<()> {
         let (Some(world), [body]) = (&mut self.world, &mut self.bodies[..]) else {
@@ -432,36 +454,24 @@ impl Coupling for Rigid {
         Ok(())
     }
 
-    fn advance_back(&mut self, body: usize, dt: f64, owed: &mut BodyCotangents) -> Result<Twist> {
-        let before = self.bodies[body].state;
-        let mut turn = Turn::default();
-        if let (true, Some(world)) = (self.bodies[body].is_free(), &self.world) {
-            turn = Turn::of(self.bodies[body].midway_spin(dt), dt, world.substeps());
-            self.move_free_body(dt)?;
-            let after = std::mem::replace(&mut self.bodies[body].state, before);
-            let Twist { linear, .. } = before.twist;
-            let place = before.pose.position + dt * linear;
-            let off = (after.pose.position - place).length() + (after.twist.linear - linear).length() * dt;
-            let turned = (after.pose.rotation * turn.after(before.pose.rotation).conjugate()).xyz().length();
-            if off > 1e-9 * (self.scene.world.cell + dt * linear.length()) || turned > 1e-9 {
-                let what = "gradients: a wall of the world has pushed it, and they do not go through that";
-                let refusal = Refusal::new(what, "record a shorter time, or make the world larger");
-                return Err(refusal.at(&format!("tool '{}'", self.bodies[body].name)));
-            }
-        }
-        Ok(self.bodies[body].advance_back(dt, &turn, owed))
+    fn advance_back(&mut self, dt: f64, owed: &mut BodiesOwed<'_>) -> Result<Vec<Twist>> {
+        (0..self.bodies.len()).map(|body| self.advance_body_back(body, dt, &mut owed.bodies[body])).collect()
     }
 
     fn begin_back(
         &self,
-        body: usize,
         time: f64,
         dt: f64,
-        step: &BodyInStep,
-        owed: &mut BodyCotangents,
-        told: &mut BodyGradient,
+        step: &[BodyInStep],
+        owed: &mut BodiesOwed<'_>,
+        told: &mut BodiesTold<'_>,
     ) -> Result<Vec3> {
-        Ok(self.bodies[body].begin_back([time, dt], step, &self.wrenches[body], owed, told).to_array())
+        let mut of_gravity = DVec3::ZERO;
+        let all = self.bodies.iter().zip(&self.wrenches).zip(step).zip(&mut *owed.bodies).zip(&mut *told.bodies);
+        for ((((body, felt), step), owed), told) in all {
+            of_gravity += body.begin_back([time, dt], step, felt, owed, told);
+        }
+        Ok(of_gravity.to_array())
     }
 
     fn twist(&self, body: usize) -> Twist {

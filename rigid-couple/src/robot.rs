@@ -10,6 +10,7 @@
 //! 5. positions move on with the rates, which are corrected so that momentum changes by impulses alone, and energy by their work.
 
 mod act;
+mod adjoint;
 mod balance;
 pub mod coupling;
 mod device;
@@ -78,6 +79,7 @@ pub(crate) struct State {
 }
 
 /// A robot.
+#[derive(Clone)]
 pub struct Robot {
     pub(crate) name: String,
     pub(crate) model: Arc<RobotModel>,
@@ -118,6 +120,7 @@ pub(crate) struct Kept {
 }
 
 /// What belongs to the step under way.
+#[derive(Clone)]
 pub(crate) struct Step {
     dt: f64,
     /// Rates before it.

@@ -2,7 +2,7 @@
 
 use crate::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents, no_adjoint};
 use crate::contact::{Reaction, System, Touch, Twist};
-use crate::gradient::{BodyCotangents, BodyGradient};
+use crate::gradient::{BodyCotangents, BodyGradient, RobotCotangents, RobotGradient};
 use crate::sense::RobotState;
 use crate::surface::Surface;
 use crate::{Result, Vec3};
@@ -573,6 +573,24 @@ pub fn show_others(couplings: &mut [Box<dyn Coupling>]) {
     }
 }
 
+/// What a loss owes to the bodies of a coupling, in their order, and to its robots, in that of [`robots`](Coupling::robots).
+#[derive(Debug)]
+pub struct BodiesOwed<'a> {
+    /// Bodies.
+    pub bodies: &'a mut [BodyCotangents],
+    /// Robots' joints.
+    pub robots: &'a mut [RobotCotangents],
+}
+
+/// What it owes to what they are told and are, likewise.
+#[derive(Debug)]
+pub struct BodiesTold<'a> {
+    /// Bodies.
+    pub bodies: &'a mut [BodyGradient],
+    /// Robots' motors.
+    pub robots: &'a mut [RobotGradient],
+}
+
 /// Rigid tools, free bodies, robots, wind: anything that acts on nodes and feels the reaction.
 ///
 /// In each step the simulation calls, in this order: [`before_step`](Self::before_step), then, on each level, fields
@@ -662,7 +680,7 @@ pub trait Coupling: Send + Sync {
         let _ = (body, dt, nodes, touches);
     }
     /// One of its own, of the same bodies where they are now, with which steps can be taken again and gone back through, by [`advance_back`](Self::advance_back),
-    /// [`touch_back`](Self::touch_back) and [`begin_back`](Self::begin_back): what gradients need.
+    /// [`answer_back`](Self::answer_back), [`touch_back`](Self::touch_back), [`see_back`](Self::see_back) and [`begin_back`](Self::begin_back): what gradients need.
     ///
     /// # Errors
     /// What gradients do not go through, and what mends it: all of it, if a coupling has nothing of the kind.
@@ -686,31 +704,45 @@ pub trait Coupling: Send + Sync {
         let _ = (body, dt, nodes, touches, near, owed);
         Err(no_adjoint(self.name()))
     }
-    /// The adjoint of [`after_step`](Self::after_step), where contact has found the twists of a step of `dt` [s]: from what is owed to a body's state behind the step to what is owed to
-    /// where it was before it, and to its twist, which is returned. A driven body's own motion is [`begin_back`](Self::begin_back)'s.
+    /// The adjoint of [`answer`](Self::answer) where contact has found the twists that bodies [have](Self::twist) now, at which they balance: `systems` hold the ground's slopes transposed and,
+    /// in place of impulses, what is owed to twists.
+    fn answer_back(&self, group: Range<usize>, systems: &[System]) -> Option<Vec<Twist>> {
+        let at: Vec<Twist> = group.clone().map(|body| self.twist(body)).collect();
+        self.answer(group, &at, systems)
+    }
+    /// The adjoint of [`after_step`](Self::after_step), where contact has found the twists of a step of `dt` [s]: from what is owed to its bodies behind the step to what is owed to
+    /// where they were before it, and to their twists, which are returned. A driven body's own motion is [`begin_back`](Self::begin_back)'s.
     ///
     /// # Errors
     /// As [`touch_back`](Self::touch_back), and what gradients do not go through, if it has come in this step.
-    fn advance_back(&mut self, body: usize, dt: f64, owed: &mut BodyCotangents) -> Result<Twist> {
-        let _ = (body, dt, owed);
+    fn advance_back(&mut self, dt: f64, owed: &mut BodiesOwed<'_>) -> Result<Vec<Twist>> {
+        let _ = (dt, owed);
         Err(no_adjoint(self.name()))
     }
-    /// The adjoint of [`before_step`](Self::before_step), and of a driven body's motion over the step from `time` that takes `dt` [s]. `step` is what is owed to the body in it: of one that
-    /// answers, its twist as it would be without contact. `owed` gets what is owed to its state before the step, and `told` what is owed to what it is told. Returns what is owed to the
+    /// The adjoint of [`see`](Self::see): what is owed to bodies of other couplings, by their names, for what its own bodies, to which `step` is owed, found of them in the step from `time` that takes
+    /// `dt` [s]. It comes between [`advance_back`](Self::advance_back) and [`begin_back`](Self::begin_back) of all couplings.
+    ///
+    /// # Errors
+    /// As [`advance_back`](Self::advance_back).
+    fn see_back(&self, time: f64, dt: f64, step: &[BodyInStep]) -> Result<Vec<(String, BodyInStep)>> {
+        let _ = (time, dt, step);
+        Ok(Vec::new())
+    }
+    /// The adjoint of [`before_step`](Self::before_step), and of driven bodies' motion over the step from `time` that takes `dt` [s]. `step` is what is owed to its bodies in it: of those that
+    /// answer, to what balances at their twists. `owed` gets what is owed to their state before the step, and `told` what is owed to what they are told. Returns what is owed to the
     /// gravity of the step [s²/m].
     ///
     /// # Errors
-    /// As [`touch_back`](Self::touch_back).
+    /// As [`advance_back`](Self::advance_back).
     fn begin_back(
         &self,
-        body: usize,
         time: f64,
         dt: f64,
-        step: &BodyInStep,
-        owed: &mut BodyCotangents,
-        told: &mut BodyGradient,
+        step: &[BodyInStep],
+        owed: &mut BodiesOwed<'_>,
+        told: &mut BodiesTold<'_>,
     ) -> Result<Vec3> {
-        let _ = (body, time, dt, step, owed, told);
+        let _ = (time, dt, step, owed, told);
         Err(no_adjoint(self.name()))
     }
     /// The twist of a body's reference point: as it is given over this step if the body is driven, else as it would be without contact.

@@ -32,12 +32,40 @@ pub struct Cotangents {
     pub lags: bool,
     /// By tools and other bodies of couplings, in the scene's order; empty if nothing is owed to them.
     pub bodies: Vec<BodyCotangents>,
+    /// By robots' joints, in the scene's order; empty if nothing is owed to them.
+    pub robots: Vec<RobotCotangents>,
+}
+
+/// Derivatives of a loss by a robot's joints. Its base, as its links, is among the bodies.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RobotCotangents {
+    /// By their positions [1/rad or 1/m].
+    pub positions: Vec<f64>,
+    /// By their rates [s/rad or s/m].
+    pub rates: Vec<f64>,
+    /// By the energy that later steps make up for, twice: what a robot has too much of that has coiled up too far to turn so fast [1/J].
+    pub energy: f64,
+}
+
+/// Derivatives of a loss by what a robot's motors were told over a tape, and by their gains, joint by joint: 0 where the motor's effort or speed was at its bound.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct RobotGradient {
+    /// By joint targets [1/rad or 1/m]; of motion that the scene gives, by all of its positions alike.
+    pub targets: Vec<f64>,
+    /// By target rates, likewise [s/rad or s/m].
+    pub rates: Vec<f64>,
+    /// By torques or forces besides [1/(N m) or 1/N].
+    pub torques: Vec<f64>,
+    /// By the gains: torque for each unit of position, and of rate.
+    pub kp: Vec<f64>,
+    /// The latter.
+    pub kd: Vec<f64>,
 }
 
 /// Derivatives of a loss by what a body of a coupling is and felt.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct BodyCotangents {
-    /// By where it is.
+    /// By where it is. At the start of a tape a robot's is its base's, and 0 for the other links.
     pub pose: PoseCotangent,
     /// By the velocity of its reference point [s/m]. At the start of a tape it is 0 for a body that is driven: there it goes to what that was told.
     pub velocity: Vec3,
@@ -65,9 +93,9 @@ pub struct BodyGradient {
     pub angular: Vec3,
     /// By the positions of its keyframes, if it moves along some [1/m].
     pub keyframes: Vec<Vec3>,
-    /// By its coefficient of friction: 0 for contact that knows none.
+    /// By its coefficient of friction: 0 for contact that knows none. Of a robot it is of all links together, and stands with the base.
     pub friction: f64,
-    /// By its mass, with which its inertia grows, if it answers the ground's impulses [1/kg].
+    /// By its mass, with which its inertia grows, if it answers the ground's impulses [1/kg]; a link's is its own.
     pub mass: f64,
     /// By the whole force of its servo [1/N], with the mass that follows it where the scene gives none.
     pub force: f64,
@@ -84,6 +112,7 @@ impl Cotangents {
             state: vec![[0.0; MOST_STATES]; particles],
             lags: false,
             bodies: Vec::new(),
+            robots: Vec::new(),
         }
     }
 
@@ -108,6 +137,19 @@ pub struct Gradient {
     pub gravity: Vec3,
     /// By what each body of the couplings was told, in the scene's order.
     pub bodies: Vec<BodyGradient>,
+    /// By what each robot was told, in the scene's order.
+    pub robots: Vec<RobotGradient>,
+}
+
+/// Where a robot's joints are.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RobotPose {
+    /// The robot's name.
+    pub name: String,
+    /// Positions of its joints, in the order of commands [rad or m].
+    pub positions: Vec<f64>,
+    /// Their rates [rad/s or m/s].
+    pub rates: Vec<f64>,
 }
 
 /// Where a body of a coupling is.
@@ -144,6 +186,8 @@ pub struct Moment {
     pub affine: Vec<[f64; 9]>,
     /// Tools and other bodies of couplings, in the scene's order.
     pub bodies: Vec<BodyPose>,
+    /// Robots' joints, in the scene's order.
+    pub robots: Vec<RobotPose>,
 }
 
 /// A step that was taken.
@@ -196,7 +240,16 @@ fn moment(particles: &ParticleState, simulation: &Simulation) -> Moment {
         let twist = if answers { [body.velocity, body.angular_velocity] } else { [[0.0; 3]; 2] };
         BodyPose { name: body.name, position: body.position, rotation: body.rotation, twist }
     });
-    let mut moment = Moment { time: simulation.time(), bodies: bodies.collect(), ..Moment::default() };
+    let of_robot = |name: String| RobotPose { name, positions: Vec::new(), rates: Vec::new() };
+    let names = simulation.couplings().iter().flat_map(|one| one.robots()).map(|robot| robot.name);
+    let mut robots: Vec<RobotPose> = names.map(of_robot).collect();
+    for joint in simulation.joints() {
+        if let Some(robot) = robots.iter_mut().find(|robot| robot.name == joint.body) {
+            robot.positions.push(joint.position);
+            robot.rates.push(joint.rate);
+        }
+    }
+    let mut moment = Moment { time: simulation.time(), bodies: bodies.collect(), robots, ..Moment::default() };
     for (l, i) in by_number(particles) {
         let list = &particles.lists[l];
         moment.id.push(list.id[i]);
@@ -381,7 +434,7 @@ impl Tape {
     /// As [`pull_back`](Self::pull_back).
     pub fn pull_back_while(&self, cotangents: Cotangents, on_step: &mut OnStep<'_>) -> Result<Option<Gradient>> {
         let particles = self.moments[0].id.len();
-        let Cotangents { position, velocity, affine, strain, state, lags, bodies } = &cotangents;
+        let Cotangents { position, velocity, affine, strain, state, lags, bodies, robots } = &cotangents;
         let lags = *lags;
         if [position.len(), velocity.len(), affine.len(), strain.len(), state.len()] != [particles; 5] {
             let what = format!("{} cotangents of {particles} particles", position.len());
@@ -393,11 +446,23 @@ impl Tape {
             let what = format!("cotangents of {} bodies, and there are {count}", bodies.len());
             return Err(refused("cotangents.bodies", &what, "give one for each, in the scene's order, or none"));
         }
+        let joints = &self.moments[0].robots;
+        let fits = |(owed, robot): (&RobotCotangents, &RobotPose)| {
+            let own = robot.positions.len();
+            [&owed.positions, &owed.rates].into_iter().all(|all| [0, own].contains(&all.len()))
+        };
+        if ![0, joints.len()].contains(&robots.len()) || !robots.iter().zip(joints).all(fits) {
+            let what = format!("cotangents of {} robots, and there are {}", robots.len(), joints.len());
+            let mend = "give one for each, in the scene's order, with a number for each of its joints, or none";
+            return Err(refused("cotangents.robots", &what, mend));
+        }
+        let of_robots = robots.iter().flat_map(|one| one.positions.iter().chain(&one.rates).chain([&one.energy]));
         let of_bodies = bodies.iter().flat_map(|one| {
             let BodyCotangents { pose, velocity, angular_velocity, impulse } = one;
             [&pose.position, &pose.rotation, velocity, angular_velocity, &impulse.force, &impulse.torque]
         });
         let rest = affine.iter().chain(strain).flatten().chain(state.iter().flatten()).chain(of_bodies.flatten());
+        let rest = rest.chain(of_robots);
         if own.chain(rest).any(|x| !x.is_finite()) {
             return Err(refused("cotangents", "one is not a finite number", "look at the loss that they come from"));
         }
@@ -406,8 +471,10 @@ impl Tape {
             parameters: self.plan.materials.iter().map(|planned| vec![0.0; planned.parameters.len()]).collect(),
             gravity: [0.0; 3],
             bodies: vec![BodyGradient::default(); count],
+            robots: vec![RobotGradient::default(); joints.len()],
         };
         gradient.particles.bodies.resize_with(count, BodyCotangents::default);
+        gradient.particles.robots.resize_with(joints.len(), RobotCotangents::default);
         let mut couplings = self.couplings.lock().unwrap_or_else(PoisonError::into_inner);
         let couplings = &mut couplings[..];
         for (coupling, bytes) in couplings.iter_mut().zip(&self.coupled) {

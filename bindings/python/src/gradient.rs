@@ -4,7 +4,7 @@ use crate::errors::OrRaise;
 use crate::given::{Numbers, axes, rows};
 use crate::machine::SLICE;
 use crate::records;
-use barchan::gradient::{BodyCotangents, BodyGradient, Moment};
+use barchan::gradient::{BodyCotangents, BodyGradient, Moment, RobotCotangents, RobotGradient};
 use barchan::{Cotangents, Plan, Vec3};
 use numpy::PyArray1;
 use pyo3::IntoPyObjectExt;
@@ -87,6 +87,42 @@ fn of_bodies(given: &Bound<'_, PyDict>, end: &Moment, to: &mut [BodyCotangents])
     Ok(())
 }
 
+/// What a loss owes to robots' joints, by the robots' names: a dict for each, of a number for each joint.
+fn of_robots(given: &Bound<'_, PyDict>, end: &Moment, to: &mut [RobotCotangents]) -> PyResult<()> {
+    for (name, owed) in given {
+        let name: String = name.extract()?;
+        let Some(number) = end.robots.iter().position(|robot| robot.name == name) else {
+            let known: Vec<&str> = end.robots.iter().map(|robot| robot.name.as_str()).collect();
+            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+            return Err(PyValueError::new_err(format!("robots: there is no '{name}'; there are: {known}")));
+        };
+        let (to, joints) = (&mut to[number], end.robots[number].positions.len());
+        for (what, numbers) in owed.cast::<PyDict>()? {
+            let what: String = what.extract()?;
+            let sums = match what.as_str() {
+                "positions" => &mut to.positions,
+                "rates" => &mut to.rates,
+                _ => {
+                    return Err(PyValueError::new_err(format!(
+                        "robots: '{name}' has no derivative by '{what}'; give positions or rates, and its base and links in bodies"
+                    )));
+                }
+            };
+            let numbers: Numbers<'_> = numbers.extract()?;
+            let numbers: Vec<f64> = numbers.as_array().iter().copied().collect();
+            if numbers.len() != joints {
+                return Err(PyValueError::new_err(format!(
+                    "robots: {name}: {what}: there are {} numbers; give one for each of its {joints} joints",
+                    numbers.len()
+                )));
+            }
+            sums.resize(joints, 0.0);
+            sums.iter_mut().zip(numbers).for_each(|(sum, number)| *sum += number);
+        }
+    }
+    Ok(())
+}
+
 fn moment<'py>(py: Python<'py>, moment: &Moment) -> PyResult<Bound<'py, PyAny>> {
     let fields = [
         ("id", records::vector(py, moment.id.clone())),
@@ -137,25 +173,27 @@ impl Tape {
     /// What a loss owes to what was at the start and throughout: a `Gradient`. Its derivatives by the particles at the end are given, as arrays of the shape (n, 3), one row for
     /// each particle in the order of `end`: by `position` [1/m] and by `velocity` [s/m]. What is left out is zero. `bodies` has derivatives by tools: a dict by their names, of dicts of three numbers. At the end there are `position` [1/m], that of `Simulation.bodies`, `rotation`, as a small turn
     /// about the world's axes [1/rad], `velocity` [s/m] and `angular_velocity` [s/rad]; over the tape there are `impulse` [1/(N s)] and `angular_impulse`
-    /// [1/(N m s)], as in `impulses`: of this tape alone, also where `then` is given. `then` is the gradient of the tape that follows on this one, if the loss looks
+    /// [1/(N m s)], as in `impulses`: of this tape alone, also where `then` is given. A robot's base and links are among the bodies; `robots` has derivatives by joints: a dict by robots' names, of dicts with
+    /// `positions` [1/rad or 1/m] and `rates` [s/rad or s/m], a number for each joint. `then` is the gradient of the tape that follows on this one, if the loss looks
     /// further.
     ///
     /// It takes all steps twice again, and goes back through each, which takes some fifty times as long as a step. Ctrl-C ends it.
     ///
     /// Raises `BodyError` if a derivative is not finite, `SimulationError` if one of a law is not.
-    #[pyo3(signature = (*, position=None, velocity=None, bodies=None, then=None))]
+    #[pyo3(signature = (*, position=None, velocity=None, bodies=None, robots=None, then=None))]
     fn pull_back(
         &self,
         py: Python<'_>,
         position: Option<Numbers<'_>>,
         velocity: Option<Numbers<'_>>,
         bodies: Option<&Bound<'_, PyDict>>,
+        robots: Option<&Bound<'_, PyDict>>,
         then: Option<&Bound<'_, Gradient>>,
     ) -> PyResult<Gradient> {
         let particles = self.tape.end().id.len();
-        if position.is_none() && velocity.is_none() && bodies.is_none() && then.is_none() {
+        if position.is_none() && velocity.is_none() && bodies.is_none() && robots.is_none() && then.is_none() {
             return Err(PyTypeError::new_err(
-                "it is not said what the loss owes to; give position, velocity, bodies or then",
+                "it is not said what the loss owes to; give position, velocity, bodies, robots or then",
             ));
         }
         let mut cotangents = match then.map(Bound::get) {
@@ -172,6 +210,10 @@ impl Tape {
         if let Some(bodies) = bodies {
             cotangents.bodies.resize_with(self.tape.end().bodies.len(), BodyCotangents::default);
             of_bodies(bodies, self.tape.end(), &mut cotangents.bodies)?;
+        }
+        if let Some(robots) = robots {
+            cotangents.robots.resize_with(self.tape.end().robots.len(), RobotCotangents::default);
+            of_robots(robots, self.tape.end(), &mut cotangents.robots)?;
         }
         let mut signals = Signals::new();
         let gradient = py.detach(|| self.tape.pull_back_while(cotangents, &mut |_| signals.look())).or_raise(py)?;
@@ -234,6 +276,10 @@ impl Gradient {
             own.mass += other.mass;
             own.force += other.force;
         }
+        for (own, other) in self.gradient.robots.iter_mut().zip(&then.gradient.robots) {
+            let gains = [(&mut own.kp, &other.kp), (&mut own.kd, &other.kd)];
+            gains.into_iter().for_each(|(own, other)| own.iter_mut().zip(other).for_each(|(sum, more)| *sum += more));
+        }
     }
 }
 
@@ -275,7 +321,7 @@ impl Gradient {
         Ok(all)
     }
 
-    /// By the scene's tools, by name: `BodyGradient` records. The velocities that a tool was told are this tape's alone; its keyframes, friction, mass and force are of all that follow (`then`) as well.
+    /// By the scene's tools, robots and their links, by name: `BodyGradient` records. The velocities that a tool was told are this tape's alone; its keyframes, friction, mass and force are of all that follow (`then`) as well.
     #[getter]
     fn bodies<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let all = PyDict::new(py);
@@ -297,6 +343,28 @@ impl Gradient {
                 ("force", force.into_bound_py_any(py)?),
             ];
             all.set_item(&body.name, records::record(py, "BodyGradient", &fields)?)?;
+        }
+        Ok(all)
+    }
+
+    /// By the scene's robots, by name: `RobotGradient` records. What motors were told is this tape's alone; the gains are of all that follow (`then`) as well.
+    #[getter]
+    fn robots<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
+        let all = PyDict::new(py);
+        let both = self.gradient.particles.robots.iter().zip(&self.gradient.robots);
+        for (robot, (RobotCotangents { positions, rates, .. }, told)) in self.start.robots.iter().zip(both) {
+            let RobotGradient { targets, rates: target_rates, torques, kp, kd } = told;
+            let own = [
+                ("positions", positions),
+                ("rates", rates),
+                ("targets", targets),
+                ("target_rates", target_rates),
+                ("torques", torques),
+                ("kp", kp),
+                ("kd", kd),
+            ];
+            let fields = own.map(|(name, numbers)| (name, records::vector(py, numbers.clone())));
+            all.set_item(&robot.name, records::record(py, "RobotGradient", &fields)?)?;
         }
         Ok(all)
     }

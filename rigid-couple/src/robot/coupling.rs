@@ -1,5 +1,6 @@
 //! The coupling "robots": a scene's robots on soft ground, and the tools beside them that answer what they feel.
 
+use super::adjoint::Behind;
 use super::device::{self, Roaming};
 use super::images::Images;
 use super::joints::Gains;
@@ -16,8 +17,9 @@ use crate::rigid::body::Guided;
 use crate::rigid::{rounded, thin};
 use crate::world::friction_of;
 use crate::{Refusal, Sdf, is_within_reach, sdf};
+use barchan_core::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
-use barchan_core::coupling::{Aabb, DeviceLaw, Group, GroupState, GroupStep, Leashes, Moved};
+use barchan_core::coupling::{Aabb, BodiesOwed, BodiesTold, DeviceLaw, Group, GroupState, GroupStep, Leashes, Moved};
 use barchan_core::plan::ROBOT_COUPLING;
 use barchan_core::scene::{self, Contact, World, fits, named_together};
 use barchan_core::{
@@ -33,25 +35,27 @@ use std::sync::Arc;
 /// The robots of a scene, and behind them its tools that answer as they do: free ones, and those that a force pushes.
 pub struct Robots {
     name: String,
-    scene: Scene,
-    robots: Vec<Robot>,
+    pub(super) scene: Scene,
+    pub(super) robots: Vec<Robot>,
     /// The other tools of the scene: they stay, or move as they are told.
-    tools: Vec<Obstacle>,
+    pub(super) tools: Vec<Obstacle>,
     /// Those that touch one another in the step under way.
-    together: Vec<Together>,
+    pub(super) together: Vec<Together>,
     /// Does a device solve all of them together, since some may touch?
     as_one: bool,
-    contacts: Vec<Contact>,
+    pub(super) contacts: Vec<Contact>,
     /// The number of each robot's first body.
     firsts: Vec<usize>,
     /// Do levels follow each of their bodies?
     followed: Vec<bool>,
-    wrenches: Vec<Wrench>,
+    pub(super) wrenches: Vec<Wrench>,
     counts: Counts,
     /// Who moves them.
     moved: Moved,
     /// Steps of the finest level that have gone of the simulation's.
     slot: u32,
+    /// What is owed to each robot behind the step that is gone back through.
+    pub(super) behind: Vec<Behind>,
 }
 
 #[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
@@ -215,7 +219,7 @@ impl Robot {
     }
 
     /// What errors call it.
-    fn path(&self) -> String {
+    pub(super) fn path(&self) -> String {
         format!("{} '{}'", if self.is_tool { "tool" } else { "robot" }, self.name)
     }
 }
@@ -268,6 +272,7 @@ impl Robots {
             counts: Counts::default(),
             moved: Moved::ByCoupling,
             slot: 0,
+            behind: Vec::new(),
         })
     }
 
@@ -307,7 +312,7 @@ impl Robots {
     }
 
     /// The bodies of a robot, in what is listed from the body `from` on.
-    fn bodies_of(&self, robot: usize, from: usize) -> Range<usize> {
+    pub(super) fn bodies_of(&self, robot: usize, from: usize) -> Range<usize> {
         let first = self.firsts[robot] - from;
         first..first + self.robots[robot].solids.len()
     }
@@ -342,7 +347,7 @@ impl Robots {
     }
 
     /// Those of some robots that touch none, and those that touch one another.
-    fn parted(&self, robots: Range<usize>) -> (Vec<usize>, Vec<&Together>) {
+    pub(super) fn parted(&self, robots: Range<usize>) -> (Vec<usize>, Vec<&Together>) {
         let own = self.together.iter().filter(|one| robots.contains(&one.robots[0]));
         let (mut alone, own): (Vec<usize>, Vec<&Together>) = (robots.clone().collect(), own.collect());
         alone.retain(|robot| !own.iter().any(|one| one.robots.contains(robot)));
@@ -391,7 +396,7 @@ impl Robots {
     }
 
     /// A step, as contact points know it.
-    fn span(&self, time: f64, dt: f64) -> Span {
+    pub(super) fn span(&self, time: f64, dt: f64) -> Span {
         let gravity = DVec3::from_array(self.scene.gravity_at(time)).length();
         Span { time, dt, gravity, images: Images::of(&self.scene.world) }
     }
@@ -522,6 +527,69 @@ impl Coupling for Robots {
     fn twist(&self, body: usize) -> Twist {
         let (robot, body) = self.of(body);
         self.robots[robot].twist(body)
+    }
+
+    fn twin(&self) -> Result<Box<dyn Coupling>> {
+        let late = |tool: &&scene::Tool| tool.from > 0.0 || tool.until.is_some();
+        if let Some(tool) = self.scene.tool.iter().find(late) {
+            let what = "gradients do not go through tools that appear or vanish";
+            return Err(Refusal::new(what, "leave out from and until").at(&format!("tool '{}'", tool.name)));
+        }
+        let mut twin = Self::new(&self.scene)?.called(&self.name);
+        twin.restore(&self.save()).map_err(|what| Refusal::new(what, "record again").at("robot"))?;
+        Ok(Box::new(twin))
+    }
+
+    fn touch_back(
+        &self,
+        body: usize,
+        dt: f64,
+        nodes: &NodeBatch,
+        touches: (&[Touch], &[GripCotangent]),
+        near: &mut NearCotangents,
+        owed: &mut BodyInStep,
+    ) -> Result<()> {
+        let (number, body) = self.of(body);
+        let robot = &self.robots[number];
+        if let Some(shape) = &robot.model.links[robot.solids[body]].shape {
+            grip::touch_back(shape, &robot.pose(body), nodes, dt, touches, near, owed);
+        }
+        Ok(())
+    }
+
+    fn answer_back(&self, group: Range<usize>, systems: &[System]) -> Option<Vec<Twist>> {
+        let (alone, own) = self.parted(self.robots_of(&group));
+        let mut all = vec![Twist::default(); systems.len()];
+        for robot in alone {
+            let bodies = self.bodies_of(robot, group.start);
+            all[bodies.clone()].copy_from_slice(&self.robots[robot].answer_back(&systems[bodies])?);
+        }
+        for together in own {
+            let bodies = || together.robots.iter().map(|&robot| self.bodies_of(robot, group.start));
+            let systems: Vec<&[System]> = bodies().map(|own| &systems[own]).collect();
+            let found = together.answer_back(&self.robots, &systems)?;
+            bodies().zip(found).for_each(|(own, found)| all[own].copy_from_slice(&found));
+        }
+        Some(all)
+    }
+
+    fn advance_back(&mut self, _: f64, owed: &mut BodiesOwed<'_>) -> Result<Vec<Twist>> {
+        self.go_back_behind(owed)
+    }
+
+    fn see_back(&self, time: f64, dt: f64, step: &[BodyInStep]) -> Result<Vec<(String, BodyInStep)>> {
+        self.go_back_to_tools(time, dt, step)
+    }
+
+    fn begin_back(
+        &self,
+        time: f64,
+        dt: f64,
+        step: &[BodyInStep],
+        owed: &mut BodiesOwed<'_>,
+        told: &mut BodiesTold<'_>,
+    ) -> Result<Vec3> {
+        Ok(self.go_back_to_start(time, dt, step, owed, told)?.to_array())
     }
 
     fn groups(&self) -> Vec<Group> {

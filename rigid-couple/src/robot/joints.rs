@@ -64,12 +64,25 @@ pub struct Impulse {
     pub slope: f64,
 }
 
+/// How the impulse changes with what it is made of, at the rate at which it is taken and on the side of each case distinction on which it is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Slopes {
+    /// By where the joint is, and by its inertia.
+    pub position: f64,
+    pub inertia: f64,
+    /// By what its motor is told: position, rate, torque.
+    pub target: f64,
+    pub rate: f64,
+    pub torque: f64,
+    /// By its gains.
+    pub kp: f64,
+    pub kd: f64,
+}
+
 impl Joint<'_> {
     /// The motor's torque at a rate, and by how much it falls for each unit of the rate.
     pub fn motor(&self, rate: f64) -> Impulse {
-        let Order { target, rate: wanted, torque, holds } = self.order;
-        let Gains { kp, kd } = if holds { self.gains } else { Gains::default() };
-        let demand = kp * (target - self.position - self.dt * rate) + kd * (wanted - rate) + torque;
+        let (demand, Gains { kp, kd }) = (self.demand(rate), self.acting());
         let Drive { effort, speed, .. } = *self.drive;
         // What is left of the effort as the motor nears its greatest speed that way.
         let left = |spare: f64| if speed.is_finite() { (spare / (FADE * speed)).clamp(0.0, 1.0) } else { 1.0 };
@@ -84,6 +97,54 @@ impl Joint<'_> {
         }
     }
 
+    /// What the motor is asked for at a rate.
+    fn demand(&self, rate: f64) -> f64 {
+        let (Order { target, rate: wanted, torque, .. }, Gains { kp, kd }) = (self.order, self.acting());
+        kp * (target - self.position - self.dt * rate) + kd * (wanted - rate) + torque
+    }
+
+    /// The gains that act.
+    fn acting(&self) -> Gains {
+        if self.order.holds { self.gains } else { Gains::default() }
+    }
+
+    /// A stop is at one end, on this side of it: how far the rate is beyond what it allows, and how that changes with the joint's place.
+    fn beyond(&self, end: f64, sign: f64, rate: f64) -> (f64, f64) {
+        let gap = sign * (end - self.position);
+        let share = if gap > 0.0 { 1.0 } else { BACK };
+        let most = share * gap / self.dt;
+        (sign * rate - most, sign * share / self.dt)
+    }
+
+    /// How [`impulse`](Self::impulse) changes, but for the rate.
+    pub(super) fn slopes(&self, rate: f64) -> Slopes {
+        let dt = self.dt;
+        let mut sum = Slopes::default();
+        // Where its effort or its speed bounds the motor, that alone counts.
+        if self.demand(rate) == self.motor(rate).value {
+            let Gains { kp, kd } = self.acting();
+            sum.position = -dt * kp;
+            (sum.target, sum.rate, sum.torque) = (dt * kp, dt * kd, dt);
+            if self.order.holds {
+                sum.kp = dt * (self.order.target - self.position - dt * rate);
+                sum.kd = dt * (self.order.rate - rate);
+            }
+        }
+        for (end, sign) in self.ends() {
+            let (beyond, by_position) = self.beyond(end, sign, rate);
+            if beyond > 0.0 {
+                sum.position -= sign * STIFF * self.inertia * by_position;
+                sum.inertia -= sign * STIFF * beyond;
+            }
+        }
+        sum
+    }
+
+    fn ends(&self) -> [(f64, f64); 2] {
+        let [least, most] = self.drive.limits;
+        [(least, -1.0), (most, 1.0)]
+    }
+
     /// All that acts in the joint over the step, if it ends with this rate.
     pub fn impulse(&self, rate: f64) -> Impulse {
         let dt = self.dt;
@@ -93,15 +154,13 @@ impl Joint<'_> {
             sum.value += value;
             sum.slope += slope;
         };
-        let Drive { limits, damping, friction, .. } = *self.drive;
+        let Drive { damping, friction, .. } = *self.drive;
         add(-dt * damping * rate, dt * damping);
         let grown = rate.hypot(CREEP);
         add(-dt * friction * rate / grown, dt * friction * CREEP * CREEP / grown.powi(3));
         let stiff = STIFF * self.inertia;
-        for (end, sign) in [(limits[0], -1.0), (limits[1], 1.0)] {
-            let gap = sign * (end - self.position);
-            let most = if gap > 0.0 { gap } else { BACK * gap } / dt;
-            let beyond = sign * rate - most;
+        for (end, sign) in self.ends() {
+            let (beyond, _) = self.beyond(end, sign, rate);
             if beyond > 0.0 {
                 add(-sign * stiff * beyond, stiff);
             }

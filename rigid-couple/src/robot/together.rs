@@ -21,21 +21,21 @@ pub struct Together {
     pub(super) robots: Vec<usize>,
     /// Where the rates of each begin, and at the end their number.
     firsts: Vec<usize>,
-    nodes: NodeBatch,
-    meetings: Vec<Meeting>,
+    pub(super) nodes: NodeBatch,
+    pub(super) meetings: Vec<Meeting>,
 }
 
 /// Two links of different robots that touch.
 #[derive(Debug)]
-struct Meeting {
+pub(super) struct Meeting {
     /// Their robots, as they are counted here, and their bodies there.
-    links: [(usize, usize); 2],
+    pub links: [(usize, usize); 2],
     /// How far the image of the second one that the first one touches is from it [m].
-    image: DVec3,
+    pub image: DVec3,
     /// The first one's place, as it moves against the second; its rates are those of all robots.
-    place: Place,
+    pub place: Place,
     /// What the first one touches, in a frame that moves with the second.
-    touches: Vec<Touch>,
+    pub touches: Vec<Touch>,
 }
 
 /// A link of one robot that touches one of another.
@@ -130,16 +130,16 @@ impl Together {
         first.against(&second.moved(image))
     }
 
-    fn own<'a>(&'a self, robots: &'a [Robot]) -> impl Iterator<Item = &'a Robot> {
+    pub(super) fn own<'a>(&'a self, robots: &'a [Robot]) -> impl Iterator<Item = &'a Robot> {
         self.robots.iter().map(|robot| &robots[*robot])
     }
 
     /// The rates of each robot, of those of all.
-    fn parts<'a>(&'a self, rates: &'a DVector<f64>) -> impl Iterator<Item = DVector<f64>> + 'a {
+    pub(super) fn parts<'a>(&'a self, rates: &'a DVector<f64>) -> impl Iterator<Item = DVector<f64>> + 'a {
         self.firsts.windows(2).map(|ends| rates.rows(ends[0], ends[1] - ends[0]).into_owned())
     }
 
-    fn rates<'a>(&self, parts: impl Iterator<Item = &'a DVector<f64>>) -> DVector<f64> {
+    pub(super) fn rates<'a>(&self, parts: impl Iterator<Item = &'a DVector<f64>>) -> DVector<f64> {
         let all: Vec<f64> = parts.flat_map(|part| part.iter().copied()).collect();
         DVector::from_vec(all)
     }
@@ -195,6 +195,29 @@ impl Together {
         Some(self.parts(&rates).map(|rates| Balanced { rates, converged }).collect())
     }
 
+    /// By how much what is out of balance falls for each unit of the rates that robots have.
+    pub(super) fn slopes(&self, robots: &[Robot]) -> DMatrix<f64> {
+        let rates = self.rates(self.own(robots).map(|robot| &robot.step.rates));
+        let mut own = self.of_each(robots, &rates, 1.0, true);
+        self.add_meetings(&rates, 1.0, true, &mut own);
+        own.matrix + self.blocks(self.own(robots).map(|robot| &robot.step.mass))
+    }
+
+    /// Adds what soft ground gives, robot by robot.
+    pub(super) fn add_systems(
+        &self,
+        robots: &[Robot],
+        systems: &[&[System]],
+        residual: &mut DVector<f64>,
+        matrix: &mut DMatrix<f64>,
+    ) {
+        for ((robot, systems), first) in self.own(robots).zip(systems).zip(&self.firsts) {
+            for (&link, system) in robot.solids.iter().zip(*systems) {
+                add_system(&robot.step.places[link].shifted(*first), system, residual, matrix);
+            }
+        }
+    }
+
     /// What is out of balance at some twists, with what soft ground gives there.
     fn balance_with(&self, robots: &[Robot], met: &Met<'_>, tangent: bool) -> Tried {
         let own: Vec<DVector<f64>> = self.own(robots).zip(&met.at).map(|(robot, at)| robot.rates(at)).collect();
@@ -213,11 +236,7 @@ impl Together {
         let mut residual = own.residual - own_before.residual + given.residual - given_before.residual;
         residual += &mass * (before - &rates);
         let mut rest = own.matrix + mass;
-        for ((robot, systems), first) in self.own(robots).zip(&met.systems).zip(&self.firsts) {
-            for (&link, system) in robot.solids.iter().zip(*systems) {
-                add_system(&robot.step.places[link].shifted(*first), system, &mut residual, &mut rest);
-            }
-        }
+        self.add_systems(robots, &met.systems, &mut residual, &mut rest);
         Tried { rates, residual, rest, given: given.matrix }
     }
 

@@ -144,6 +144,22 @@ impl Obstacle {
         self.bounds = shape.bounds(&self.pose, 0.0);
     }
 
+    /// Changes a number of its pose, or of how it moves: along each axis, then about each.
+    pub(super) fn vary(&mut self, number: usize, by: f64) {
+        let axis = DVec3::AXES[number % 3];
+        match number / 3 {
+            0 => self.pose.position += by * axis,
+            1 => self.pose.rotation = (DQuat::from_scaled_axis(by * axis) * self.pose.rotation).normalize(),
+            2 => self.twist.linear += by * axis,
+            _ => self.twist.angular += by * axis,
+        }
+    }
+
+    /// Its name; none of a wall.
+    pub(super) fn name(&self) -> Option<&str> {
+        self.tool.as_ref().map(|driven| driven.tool.name.as_str())
+    }
+
     /// What it is called.
     pub(super) fn title(&self) -> String {
         self.tool.as_ref().map_or("a wall of the world".to_owned(), |driven| format!("'{}'", driven.tool.name))

@@ -4,6 +4,7 @@ use super::{Contact, Grip, Regime, System, Touch, Twist, add_outer, wrench_of};
 use crate::coupling::{Coupling, Group, NodeBatch, Wrench};
 use crate::{Error, Result, Vec3};
 use glam::DVec3;
+use std::ops::Range;
 
 /// What a loss owes to nodes and particles near bodies, in the order of a batch.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -119,68 +120,74 @@ impl Contact {
         (impulses, twists): (&[Wrench], &[Twist]),
         near: &mut NearCotangents,
     ) -> Result<Vec<BodyInStep>> {
-        let groups: Vec<_> = couplings.iter().map(|coupling| coupling.groups()).collect();
-        let pairs = couplings.iter().zip(&groups);
-        let bodies = pairs.flat_map(|(one, groups)| (0..one.wrenches().len()).map(move |b| (&**one, groups, b)));
-        let of_body = |((((coupling, groups, b), touches), impulse), twist): (((_, &Vec<Touch>), &Wrench), &Twist)| {
-            let (coupling, groups, b): (&dyn Coupling, &Vec<Group>, usize) = (coupling, groups, b);
-            let mut body = BodyInStep { twist: *twist, ..BodyInStep::default() };
-            if touches.is_empty() {
-                return Ok(body);
-            }
-            let at = coupling.twist(b);
-            let mut impulse = *impulse;
-            if let Some(group) = groups.iter().find(|group| group.bodies.contains(&b)) {
-                if group.bodies.len() > 1 {
-                    return Err(no_adjoint(coupling.name()));
+        let mut found: Vec<BodyInStep> = Vec::with_capacity(twists.len());
+        for coupling in couplings {
+            let coupling: &dyn Coupling = &**coupling;
+            let own = found.len()..found.len() + coupling.wrenches().len();
+            let (touches, twists) = (&self.touches[own.clone()], &twists[own.clone()]);
+            let mut impulses = impulses[own].to_vec();
+            for Group { bodies, .. } in coupling.groups() {
+                let touches = &touches[bodies.clone()];
+                if touches.iter().all(Vec::is_empty) {
+                    continue;
                 }
-                let balance = balance_back(coupling, b, (touches, nodes), &at, (&impulse, twist), &near.velocity);
-                let balance = balance.filter(Twist::is_finite).ok_or_else(|| Error::Body {
+                let owed = (&impulses[bodies.clone()], &twists[bodies.clone()]);
+                let balance = balance_back(coupling, bodies.clone(), (touches, nodes), owed, &near.velocity);
+                let balance = balance.filter(|all| all.iter().all(Twist::is_finite)).ok_or_else(|| Error::Body {
                     path: format!("coupling '{}'", coupling.name()),
-                    what: "gradients: the balance of a body with the ground has no solution backwards".to_owned(),
+                    what: "gradients: the balance of bodies with the ground has no solution backwards".to_owned(),
                     mend: "lower time.step, or record a shorter time".to_owned(),
                 })?;
-                for d in 0..3 {
-                    impulse.force[d] += balance.linear[d];
-                    impulse.torque[d] += balance.angular[d];
+                for (impulse, Twist { linear, angular }) in impulses[bodies].iter_mut().zip(balance) {
+                    for d in 0..3 {
+                        impulse.force[d] += linear[d];
+                        impulse.torque[d] += angular[d];
+                    }
                 }
             }
-            let grips = drive_back(touches, nodes, &at, &impulse, near, &mut body);
-            coupling.touch_back(b, dt, nodes, (touches, &grips), near, &mut body)?;
-            Ok(body)
-        };
-        bodies.zip(&self.touches).zip(impulses).zip(twists).map(of_body).collect()
+            for (b, ((touches, impulse), twist)) in touches.iter().zip(&impulses).zip(twists).enumerate() {
+                let mut body = BodyInStep { twist: *twist, ..BodyInStep::default() };
+                if !touches.is_empty() {
+                    let grips = drive_back(touches, nodes, &coupling.twist(b), impulse, near, &mut body);
+                    coupling.touch_back(b, dt, nodes, (touches, &grips), near, &mut body)?;
+                }
+                found.push(body);
+            }
+        }
+        Ok(found)
     }
 }
 
-/// What is owed to the balance M (V_f − V) + J(V) = 0 by which a body that answers has found its twist V: λ with (M + A)ᵀ λ = what is owed to V, where A = −dJ/dV. What nodes gave to the body is then
-/// owed λ besides.
+/// What is owed to the balance M (V_f − V) + J(V) = 0 by which bodies that answer together have found their twists V: λ with (M + A)ᵀ λ = what is owed to V, where A = −dJ/dV. What nodes gave to a
+/// body is then owed its λ besides.
 fn balance_back(
     coupling: &dyn Coupling,
-    body: usize,
-    (touches, nodes): (&[Touch], &NodeBatch),
-    at: &Twist,
-    (impulse, twist): (&Wrench, &Twist),
+    group: Range<usize>,
+    (touches, nodes): (&[Vec<Touch>], &NodeBatch),
+    (impulses, twists): (&[Wrench], &[Twist]),
     velocity: &[Vec3],
-) -> Option<Twist> {
-    let mut owed = BodyInStep { twist: *twist, ..BodyInStep::default() };
+) -> Option<Vec<Twist>> {
     let mut near = NearCotangents { velocity: velocity.to_vec(), mass: vec![0.0; nodes.len()], ..Default::default() };
-    drive_back(touches, nodes, at, impulse, &mut near, &mut owed);
-    // Aᵀ = Σ Gᵀ m Dᵀ G, with D what is taken of a change of a node's velocity.
-    let mut matrix = [[0.0; 6]; 6];
-    for touch in touches {
-        let u = DVec3::from_array(nodes.velocity[touch.node]) - at.at(touch.arm);
-        for axis in DVec3::AXES {
-            let taken = axis - touch.grip.kept_back(u, axis).0;
-            let [rows, columns] = [taken, axis].map(|d| wrench_of(d, touch.arm));
-            add_outer(&mut matrix, nodes.mass[touch.node], &rows, &columns);
+    let of_body = |(((b, touches), impulse), twist): (((usize, &Vec<Touch>), &Wrench), &Twist)| {
+        let at = coupling.twist(b);
+        let mut owed = BodyInStep { twist: *twist, ..BodyInStep::default() };
+        drive_back(touches, nodes, &at, impulse, &mut near, &mut owed);
+        // Aᵀ = Σ Gᵀ m Dᵀ G, with D what is taken of a change of a node's velocity.
+        let mut matrix = [[0.0; 6]; 6];
+        for touch in touches {
+            let u = DVec3::from_array(nodes.velocity[touch.node]) - at.at(touch.arm);
+            for axis in DVec3::AXES {
+                let taken = axis - touch.grip.kept_back(u, axis).0;
+                let [rows, columns] = [taken, axis].map(|d| wrench_of(d, touch.arm));
+                add_outer(&mut matrix, nodes.mass[touch.node], &rows, &columns);
+            }
         }
-    }
-    let Twist { linear, angular } = owed.twist;
-    let impulse = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
-    let system = System { matrix, impulse, symmetric: false, is_secant: false };
-    // At the twist that it has, the body itself is in balance.
-    coupling.answer(body..body + 1, &[*at], &[system])?.pop()
+        let Twist { linear, angular } = owed.twist;
+        let impulse = [linear.x, linear.y, linear.z, angular.x, angular.y, angular.z];
+        System { matrix, impulse, symmetric: false, is_secant: false }
+    };
+    let systems: Vec<System> = group.clone().zip(touches).zip(impulses).zip(twists).map(of_body).collect();
+    coupling.answer_back(group, &systems)
 }
 
 /// What is said of a coupling through which gradients cannot go back.
@@ -191,13 +198,15 @@ pub(crate) fn no_adjoint(name: &str) -> Error {
         origin: "registered".to_owned(),
         what: "adjoint of what its bodies do to the ground".to_owned(),
         why: "gradients go back through all contact".to_owned(),
-        mend: "leave its bodies out: gradients go through tools, but not yet through robots, free tools beside other tools, and other couplings"
-            .to_owned(),
+        mend:
+            "leave its bodies out: gradients go through tools and robots, and through other couplings that have a twin"
+                .to_owned(),
     }
 }
 
-/// The adjoint of driving nodes. Returns what is owed to each grip; `body` gets what is owed to the place by arms, and to the twist.
-fn drive_back(
+/// The adjoint of a body with this twist driving the nodes that it touches, where so much is owed to the impulse on it: from what is owed to nodes' velocities behind that to what is owed to them before it,
+/// and to their masses. Returns what is owed to each grip; `body` gets what is owed to the place by arms, to the twist, and to friction.
+pub fn drive_back(
     touches: &[Touch],
     nodes: &NodeBatch,
     twist: &Twist,

@@ -1,7 +1,8 @@
 //! What must hold for every scene.
 
 use crate::scenes::Noise;
-use barchan::scene::{Leaving, OverBound, Tool};
+use barchan::gradient::RobotCotangents;
+use barchan::scene::{Leaving, OverBound};
 use barchan::{Cotangents, Error, Gradient, Ledger, Options, Precision, Registry, Scene, Simulation, Tape, Vec3};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -238,10 +239,8 @@ impl Judge {
     /// Of a scene without what gradients do not go through: is a gradient over some steps that of their halves, one after the other, and the same bits on two threads?
     fn gradients_chain(&self, scene: &Scene, dt: f64) -> Held<()> {
         let mut scene = scene.clone();
-        (scene.robot, scene.coupling) = (Vec::new(), Vec::new());
-        let robotless = scene.clone();
-        let has_adjoint = |tool: &Tool| tool.from <= 0.0 && tool.until.is_none() && !robotless.goes_with_robots(tool);
-        scene.tool.retain(has_adjoint);
+        scene.coupling = Vec::new();
+        scene.tool.retain(|tool| tool.from <= 0.0 && tool.until.is_none());
         (scene.inflow, scene.outflow, scene.probe, scene.task) = (Vec::new(), Vec::new(), Vec::new(), None);
         scene.material.iter_mut().for_each(|material| material.damping = 0.0);
         (scene.levels, scene.sleep.on) = (Default::default(), Some(false));
@@ -268,6 +267,7 @@ impl Judge {
         let mass = if mass > 0.0 { mass } else { 1.0 };
         let mut loss = Cotangents::zero(particles);
         loss.bodies.resize_with(tape.end().bodies.len(), Default::default);
+        loss.robots.resize_with(tape.end().robots.len(), Default::default);
         let mut noise = Noise::new(3);
         for (x, v) in loss.position.iter_mut().zip(&mut loss.velocity) {
             *x = std::array::from_fn(|_| noise.draw() / scene.world.cell);
@@ -278,9 +278,16 @@ impl Judge {
             body.velocity = std::array::from_fn(|_| noise.draw() * end / scene.world.cell);
             body.impulse.force = std::array::from_fn(|_| noise.draw() * end / (scene.world.cell * mass));
         }
+        for (owed, robot) in loss.robots.iter_mut().zip(&tape.end().robots) {
+            owed.positions = robot.positions.iter().map(|_| noise.draw()).collect();
+            owed.rates = robot.rates.iter().map(|_| noise.draw() * end).collect();
+        }
+        let is_refused = |what: &str| {
+            ["a wall of the world has pushed it", "come and go"].iter().any(|refusal| what.contains(refusal))
+        };
         let back = |tape: &Tape, loss| match tape.pull_back(loss) {
             Ok(gradient) => Ok(Some(gradient)),
-            Err(Error::Body { what, .. }) if what.contains("a wall of the world has pushed it") => Ok(None),
+            Err(Error::Body { what, .. }) if is_refused(&what) => Ok(None),
             Err(error) => broken(Rule::Gradient, error.to_string()),
         };
         let (Some(whole), Some(other)) = (back(&tape, loss.clone())?, back(&same, loss.clone())?) else {
@@ -313,6 +320,10 @@ impl Judge {
                 .flat_map(|body| [body.velocity, body.angular_velocity])
                 .collect::<Vec<Vec3>>()
         };
+        let joints = |gradient: &Gradient| {
+            let of_robot = |robot: &RobotCotangents| [robot.positions.clone(), robot.rates.clone()].concat();
+            gradient.particles.robots.iter().flat_map(of_robot).map(|x| [x, 0.0, 0.0]).collect::<Vec<Vec3>>()
+        };
         let both: Vec<Vec3> =
             told(&parted).into_iter().zip(told_later).map(|(a, b)| std::array::from_fn(|d| a[d] + b[d])).collect();
         for (what, whole, parted) in [
@@ -321,6 +332,7 @@ impl Judge {
             ("places of tools", &places(&whole), &places(&parted)),
             ("speeds that tools start with", &thrown(&whole), &thrown(&parted)),
             ("speeds of tools", &told(&whole), &both),
+            ("joints", &joints(&whole), &joints(&parted)),
         ] {
             let size = whole.iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
             let apart = whole.iter().flatten().zip(parted.iter().flatten()).map(|(a, b)| (a - b).abs());

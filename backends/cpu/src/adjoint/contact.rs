@@ -6,14 +6,15 @@ use barchan_core::account::BATCH;
 use barchan_core::batch::{Matter, Motion, Owed, Plane};
 use barchan_core::contact::Contact;
 use barchan_core::contact::adjoint::{BodyInStep, NearCotangents};
-use barchan_core::coupling::{Moved, begin_step};
-use barchan_core::gradient::Gradient;
+use barchan_core::coupling::{BodiesOwed, BodiesTold, Moved, begin_step};
+use barchan_core::gradient::{Cotangents, Gradient};
 use barchan_core::material::ErrorBuffer;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, ParticleState, Plan, Result, Vec3, Wrench};
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::near::{boxes_near_block, gather_block, is_near_block};
 use std::collections::HashMap;
+use std::ops::Range;
 
 /// How stiff bodies find the ground.
 pub(super) struct Ground {
@@ -187,24 +188,27 @@ impl Met {
             [x, y, z]
         };
         let mut near = NearCotangents::of(self.of_nodes.iter().map(velocity).collect(), &self.nodes);
-        let impulses: Vec<Wrench> = gradient.particles.bodies.iter().map(|body| body.impulse).collect();
+        let Gradient {
+            particles: Cotangents { bodies, robots, .. }, bodies: told, robots: robots_told, gravity, ..
+        } = gradient;
+        let impulses: Vec<Wrench> = bodies.iter().map(|body| body.impulse).collect();
+        let parts = parts(couplings);
         let mut twists = Vec::with_capacity(impulses.len());
-        let mut owed_to_bodies = gradient.particles.bodies.iter_mut();
-        for coupling in couplings.iter_mut() {
-            for (body, owed) in (0..coupling.wrenches().len()).zip(&mut owed_to_bodies) {
-                twists.push(coupling.advance_back(body, step.dt, owed)?);
-            }
+        for (coupling, [own, own_robots]) in couplings.iter_mut().zip(&parts) {
+            let mut owed = BodiesOwed { bodies: &mut bodies[own.clone()], robots: &mut robots[own_robots.clone()] };
+            twists.extend(coupling.advance_back(step.dt, &mut owed)?);
         }
-        let found = if self.nodes.is_empty() {
+        let mut found = if self.nodes.is_empty() {
             twists.iter().map(|twist| BodyInStep { twist: *twist, ..BodyInStep::default() }).collect()
         } else {
             self.contact.meet_back(couplings, step.dt, &self.nodes, (&impulses, &twists), &mut near)?
         };
-        let bodies = couplings.iter().flat_map(|one| (0..one.wrenches().len()).map(move |body| (one, body)));
-        let told = gradient.particles.bodies.iter_mut().zip(&mut gradient.bodies);
-        for (((coupling, body), found), (owed, told)) in bodies.zip(&found).zip(told) {
-            let of_gravity = coupling.begin_back(body, step.time, step.dt, found, owed, told)?;
-            (0..3).for_each(|d| gradient.gravity[d] += step.grown * of_gravity[d]);
+        see_back(couplings, step, &parts, &mut found)?;
+        for (coupling, [own, own_robots]) in couplings.iter_mut().zip(&parts) {
+            let mut owed = BodiesOwed { bodies: &mut bodies[own.clone()], robots: &mut robots[own_robots.clone()] };
+            let mut told = BodiesTold { bodies: &mut told[own.clone()], robots: &mut robots_told[own_robots.clone()] };
+            let of_gravity = coupling.begin_back(step.time, step.dt, &found[own.clone()], &mut owed, &mut told)?;
+            (0..3).for_each(|d| gravity[d] += step.grown * of_gravity[d]);
         }
         for ((node, [x, y, z]), mass) in self.of_nodes.iter().zip(near.velocity).zip(near.mass) {
             *owed.get_mut(*node) = [x, y, z, mass];
@@ -214,6 +218,46 @@ impl Met {
             particles.map(|((&(number, material), position), modulus)| Pressed { number, material, position, modulus });
         Ok(pressed.filter(|one| one.position != [0.0; 3] || one.modulus != 0.0).collect())
     }
+}
+
+/// Which bodies and which robots are each coupling's.
+fn parts(couplings: &[Box<dyn Coupling>]) -> Vec<[Range<usize>; 2]> {
+    let mut ends = [0; 2];
+    let part = |coupling: &Box<dyn Coupling>| {
+        let counts = [coupling.wrenches().len(), coupling.robots().len()];
+        std::array::from_fn(|k| {
+            let start = ends[k];
+            ends[k] += counts[k];
+            start..ends[k]
+        })
+    };
+    couplings.iter().map(part).collect()
+}
+
+/// What is owed to bodies gets what is owed to them for what others have seen of them.
+fn see_back(
+    couplings: &[Box<dyn Coupling>],
+    step: &Step,
+    parts: &[[Range<usize>; 2]],
+    found: &mut [BodyInStep],
+) -> Result<()> {
+    let mut seen = Vec::new();
+    for (coupling, [own, _]) in couplings.iter().zip(parts) {
+        seen.extend(coupling.see_back(step.time, step.dt, &found[own.clone()])?);
+    }
+    if seen.is_empty() {
+        return Ok(());
+    }
+    let names: Vec<String> = couplings.iter().flat_map(|one| one.bodies()).map(|body| body.name).collect();
+    for (name, by) in seen {
+        if let Some(to) = names.iter().position(|one| *one == name).map(|body| &mut found[body]) {
+            to.position += by.position;
+            to.rotation += by.rotation;
+            to.twist = to.twist.plus(1.0, &by.twist);
+            to.friction += by.friction;
+        }
+    }
+    Ok(())
 }
 
 impl Around<'_> {

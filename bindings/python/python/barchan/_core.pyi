@@ -7,7 +7,7 @@ from typing import Any, Literal, final
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from barchan.records import Batch, Body, BodyArrays, BodyGradient, Chamfer, HeightMap, HeightScan, Impulse, Law, Particles, Patch, Plan, Robot, RobotArrays, Surface, Task, Wrench
+from barchan.records import Batch, Body, BodyArrays, BodyGradient, Chamfer, HeightMap, HeightScan, Impulse, Law, Particles, Patch, Plan, Robot, RobotArrays, RobotGradient, Surface, Task, Wrench
 
 __version__: str
 
@@ -37,6 +37,7 @@ class Tape:
         position: ArrayLike | None = None,
         velocity: ArrayLike | None = None,
         bodies: dict[str, dict[str, ArrayLike]] | None = None,
+        robots: dict[str, dict[str, ArrayLike]] | None = None,
         then: Gradient | None = None,
     ) -> Gradient: ...
 
@@ -54,6 +55,8 @@ class Gradient:
     def parameters(self) -> dict[str, dict[str, float]]: ...
     @property
     def bodies(self) -> dict[str, BodyGradient]: ...
+    @property
+    def robots(self) -> dict[str, RobotGradient]: ...
 
 @final
 class Simulation:

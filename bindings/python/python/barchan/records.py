@@ -28,6 +28,7 @@ __all__ = [
     "Plan",
     "Robot",
     "RobotArrays",
+    "RobotGradient",
     "Surface",
     "Task",
     "Wrench",
@@ -163,7 +164,7 @@ class Impulse:
 
 @dataclass(frozen=True, eq=False)
 class BodyGradient:
-    """Derivatives of a loss by a tool."""
+    """Derivatives of a loss by a tool, or by the base or a link of a robot. Where the whole robot is, and how it moves, is by its base: of links these are 0."""
 
     position: NDArray[np.float64]
     """By its position at the start of the tape [1/m], (3,); 0 if it moves along keyframes."""
@@ -180,11 +181,31 @@ class BodyGradient:
     keyframes: NDArray[np.float64]
     """By the positions of its n keyframes, if it moves along some [1/m], (n, 3)."""
     friction: float
-    """By its coefficient of friction; 0 for contact that knows none."""
+    """By its coefficient of friction; 0 for contact that knows none. Of a robot it is of all links together."""
     mass: float
-    """By its mass, with which its inertia grows, if it is free or a force pushes it [1/kg]. Where the scene gives a servo none, `force` counts it in."""
+    """By its mass, with which its inertia grows, if it is free, a link, or a force pushes it [1/kg]. Where the scene gives a servo none, `force` counts it in."""
     force: float
     """By the whole force of its servo [1/N], with the mass that follows it where the scene gives none; by a pressure it is the area times that."""
+
+
+@dataclass(frozen=True, eq=False)
+class RobotGradient:
+    """Derivatives of a loss by a robot's joints, n of them, in the order of commands to it. Its base and links are among `Gradient.bodies`."""
+
+    positions: NDArray[np.float64]
+    """By their positions at the start of the tape [1/rad or 1/m], (n,)."""
+    rates: NDArray[np.float64]
+    """By their rates there [s/rad or s/m], (n,)."""
+    targets: NDArray[np.float64]
+    """By the targets that their motors were told over the tape [1/rad or 1/m], (n,); of motion that the scene gives, by all of its positions alike."""
+    target_rates: NDArray[np.float64]
+    """By the target rates, likewise [s/rad or s/m], (n,)."""
+    torques: NDArray[np.float64]
+    """By the torques or forces that they were told [1/(N m) or 1/N], (n,)."""
+    kp: NDArray[np.float64]
+    """By their gains: torque for each unit of position, (n,)."""
+    kd: NDArray[np.float64]
+    """Torque for each unit of rate, (n,)."""
 
 
 @dataclass(frozen=True, eq=False)

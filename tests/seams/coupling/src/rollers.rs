@@ -5,9 +5,8 @@
 
 use barchan::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents};
 use barchan::contact::{Grip, Reaction, Touch, Twist};
-use barchan::coupling::{Aabb, DeviceLaw};
+use barchan::coupling::{Aabb, BodiesOwed, BodiesTold, DeviceLaw};
 use barchan::glam::DVec3;
-use barchan::gradient::{BodyCotangents, BodyGradient};
 use barchan::parameter::{Parameter, Range};
 use barchan::registries::CouplingSetup;
 use barchan::{BodyState, Command, Coupling, Error, NodeBatch, Registry, Result, Vec3, Wrench};
@@ -130,9 +129,9 @@ impl Coupling for Rollers {
     fn twin(&self) -> Result<Box<dyn Coupling>> {
         Ok(Box::new(self.clone()))
     }
-    fn advance_back(&mut self, _: usize, _: f64, _: &mut BodyCotangents) -> Result<Twist> {
+    fn advance_back(&mut self, _: f64, owed: &mut BodiesOwed<'_>) -> Result<Vec<Twist>> {
         // They turn as they are told, whatever they felt.
-        Ok(Twist::default())
+        Ok(vec![Twist::default(); owed.bodies.len()])
     }
     fn touch_back(
         &self,
@@ -154,16 +153,17 @@ impl Coupling for Rollers {
     }
     fn begin_back(
         &self,
-        _: usize,
         _: f64,
         _: f64,
-        step: &BodyInStep,
-        owed: &mut BodyCotangents,
-        told: &mut BodyGradient,
+        step: &[BodyInStep],
+        owed: &mut BodiesOwed<'_>,
+        told: &mut BodiesTold<'_>,
     ) -> Result<Vec3> {
-        told.friction += step.friction;
-        told.angular[1] += step.twist.angular.y;
-        (0..3).for_each(|d| owed.pose.position[d] += step.position[d]);
+        for ((step, owed), told) in step.iter().zip(&mut *owed.bodies).zip(&mut *told.bodies) {
+            told.friction += step.friction;
+            told.angular[1] += step.twist.angular.y;
+            (0..3).for_each(|d| owed.pose.position[d] += step.position[d]);
+        }
         Ok([0.0; 3])
     }
     fn touch(&mut self, body: usize, _: f64, nodes: &NodeBatch, touches: &mut Vec<Touch>) {

@@ -56,36 +56,36 @@ const TURN: Vec3 = [0.3, -0.2, 0.25];
 const LINEAR: Vec3 = [0.3, -0.2, -1.1];
 const ANGULAR: Vec3 = [1.5, -2.0, 4.0];
 /// The directions.
-const WAY: Vec3 = [0.6, -0.5, 0.8];
+pub(super) const WAY: Vec3 = [0.6, -0.5, 0.8];
 
-fn along(from: Vec3, by: f64) -> Vec3 {
+pub(super) fn along(from: Vec3, by: f64) -> Vec3 {
     std::array::from_fn(|d| from[d] + by * WAY[d])
 }
 
-fn inner(a: Vec3, b: Vec3) -> f64 {
+pub(super) fn inner(a: Vec3, b: Vec3) -> f64 {
     (0..3).map(|d| a[d] * b[d]).sum()
 }
 
-fn cross(a: Vec3, b: Vec3) -> Vec3 {
+pub(super) fn cross(a: Vec3, b: Vec3) -> Vec3 {
     std::array::from_fn(|d| a[(d + 1) % 3] * b[(d + 2) % 3] - a[(d + 2) % 3] * b[(d + 1) % 3])
 }
 
 /// A vector turned by a quaternion.
-fn rotated([w, x, y, z]: [f64; 4], v: Vec3) -> Vec3 {
+pub(super) fn rotated([w, x, y, z]: [f64; 4], v: Vec3) -> Vec3 {
     let axis = [x, y, z];
     let (once, twice) = (cross(axis, v), cross(axis, cross(axis, v)));
     std::array::from_fn(|d| v[d] + 2.0 * (w * once[d] + twice[d]))
 }
 
 /// The quaternion of a rotation vector.
-fn turned([x, y, z]: Vec3) -> [f64; 4] {
+pub(super) fn turned([x, y, z]: Vec3) -> [f64; 4] {
     let angle = (x * x + y * y + z * z).sqrt();
     let share = if angle > 0.0 { (0.5 * angle).sin() / angle } else { 0.5 };
     [(0.5 * angle).cos(), share * x, share * y, share * z]
 }
 
 /// One rotation on top of another.
-fn on_top(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
+pub(super) fn on_top(a: [f64; 4], b: [f64; 4]) -> [f64; 4] {
     let ([p, x, y, z], [q, u, v, w]) = (a, b);
     [
         p * q - x * u - y * v - z * w,
