@@ -47,7 +47,8 @@ pub struct RobotCotangents {
     pub energy: f64,
 }
 
-/// Derivatives of a loss by what a robot's motors were told over a tape, and by their gains, joint by joint: 0 where the motor's effort or speed was at its bound.
+/// Derivatives of a loss by what a robot's motors were told over a tape, and by their gains, joint by joint: 0 where the motor's effort or speed was at its bound, and by
+/// targets at a joint's limit, within which commands are kept.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct RobotGradient {
     /// By joint targets [1/rad or 1/m]; of motion that the scene gives, by all of its positions alike.

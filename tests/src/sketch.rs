@@ -151,6 +151,34 @@ pub fn box_mesh(folder: &Path, half: Vec3) -> PathBuf {
     file
 }
 
+/// A robot with a base of 2 kg on one leg, with a hip, a knee and a ball for a foot, as an URDF file in a folder; `shares` are what masses and inertias of its base and of its shank are
+/// multiplied by.
+pub fn hopper(folder: &Path, shares: [f64; 2]) -> PathBuf {
+    let inertial = |mass: f64, about: f64, share: f64| {
+        let [mass, x, y, z] = [mass, about, 1.4 * about, 0.8 * about].map(|x| x * share);
+        format!(
+            "<inertial><mass value=\"{mass:?}\"/><inertia ixx=\"{x:?}\" iyy=\"{y:?}\" izz=\"{z:?}\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>"
+        )
+    };
+    let text = format!(
+        r#"<robot name="hopper">
+<link name="base">{}<collision><geometry><box size="0.16 0.12 0.06"/></geometry></collision></link>
+<joint name="hip" type="revolute"><parent link="base"/><child link="thigh"/><origin xyz="0.02 0.01 -0.03" rpy="0.1 0 0.2"/><axis xyz="0 1 0"/>
+<limit lower="-1" upper="0.42" effort="40" velocity="30"/><dynamics damping="0.02" friction="0.05"/></joint>
+<link name="thigh">{}</link>
+<joint name="knee" type="revolute"><parent link="thigh"/><child link="shank"/><origin xyz="0 0 -0.06"/><axis xyz="0.6 0.8 0"/>
+<limit lower="-2" upper="2" effort="1.5" velocity="30"/></joint>
+<link name="shank">{}<collision><origin xyz="0 0 -0.05"/><geometry><sphere radius="0.06"/></geometry></collision></link>
+</robot>"#,
+        inertial(2.0, 5e-3, shares[0]),
+        inertial(0.5, 8e-4, 1.0),
+        inertial(0.4, 6e-4, shares[1]),
+    );
+    let file = folder.join("hopper.urdf");
+    std::fs::write(&file, text).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+    file
+}
+
 /// A stiff block, 8 cm high and in a mesh around the origin, on a plane that is tilted by `tilt` degrees against the grid, in gravity
 /// at 30° to the plane; `more` holds further tables.
 pub fn incline(tilt: f64, friction: f64, mesh: &Path, more: &str) -> String {

@@ -54,17 +54,27 @@ fn cotangent(given: Option<&Numbers<'_>>, what: &str, to: &mut [Vec3]) -> PyResu
     Ok(())
 }
 
+/// A dict of dicts of numbers, as it is given for `what`: names, and what each has.
+fn named_dicts<'py>(given: &Bound<'py, PyAny>, what: &str) -> PyResult<Vec<(String, Bound<'py, PyDict>)>> {
+    let wrong = || PyTypeError::new_err(format!("{what}: give a dict by names, of dicts by what the loss owes to"));
+    let given = given.cast::<PyDict>().map_err(|_| wrong())?;
+    let one = |(name, owed): (Bound<'py, PyAny>, Bound<'py, PyAny>)| {
+        let name: String = name.extract().map_err(|_| wrong())?;
+        Ok((name, owed.cast_into::<PyDict>().map_err(|_| wrong())?))
+    };
+    given.iter().map(one).collect()
+}
+
 /// What a loss owes to bodies, by their names: a dict for each, of three numbers by what it is by.
-fn of_bodies(given: &Bound<'_, PyDict>, end: &Moment, to: &mut [BodyCotangents]) -> PyResult<()> {
-    for (name, owed) in given {
-        let name: String = name.extract()?;
+fn of_bodies(given: &Bound<'_, PyAny>, end: &Moment, to: &mut [BodyCotangents]) -> PyResult<()> {
+    for (name, owed) in named_dicts(given, "bodies")? {
         let Some(number) = end.bodies.iter().position(|body| body.name == name) else {
             let known: Vec<&str> = end.bodies.iter().map(|body| body.name.as_str()).collect();
             let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
             return Err(PyValueError::new_err(format!("bodies: there is no '{name}'; there are: {known}")));
         };
         let to = &mut to[number];
-        for (what, numbers) in owed.cast::<PyDict>()? {
+        for (what, numbers) in owed {
             let what: String = what.extract()?;
             let sum = match what.as_str() {
                 "position" => &mut to.pose.position,
@@ -88,16 +98,15 @@ fn of_bodies(given: &Bound<'_, PyDict>, end: &Moment, to: &mut [BodyCotangents])
 }
 
 /// What a loss owes to robots' joints, by the robots' names: a dict for each, of a number for each joint.
-fn of_robots(given: &Bound<'_, PyDict>, end: &Moment, to: &mut [RobotCotangents]) -> PyResult<()> {
-    for (name, owed) in given {
-        let name: String = name.extract()?;
+fn of_robots(given: &Bound<'_, PyAny>, end: &Moment, to: &mut [RobotCotangents]) -> PyResult<()> {
+    for (name, owed) in named_dicts(given, "robots")? {
         let Some(number) = end.robots.iter().position(|robot| robot.name == name) else {
             let known: Vec<&str> = end.robots.iter().map(|robot| robot.name.as_str()).collect();
             let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
             return Err(PyValueError::new_err(format!("robots: there is no '{name}'; there are: {known}")));
         };
         let (to, joints) = (&mut to[number], end.robots[number].positions.len());
-        for (what, numbers) in owed.cast::<PyDict>()? {
+        for (what, numbers) in owed {
             let what: String = what.extract()?;
             let sums = match what.as_str() {
                 "positions" => &mut to.positions,
@@ -109,15 +118,15 @@ fn of_robots(given: &Bound<'_, PyDict>, end: &Moment, to: &mut [RobotCotangents]
                 }
             };
             let numbers: Numbers<'_> = numbers.extract()?;
-            let numbers: Vec<f64> = numbers.as_array().iter().copied().collect();
-            if numbers.len() != joints {
+            let numbers = numbers.as_array();
+            let shape = numbers.shape();
+            if shape != [joints] {
                 return Err(PyValueError::new_err(format!(
-                    "robots: {name}: {what}: there are {} numbers; give one for each of its {joints} joints",
-                    numbers.len()
+                    "robots: {name}: {what}: the shape is {shape:?}; give a number for each of its {joints} joints"
                 )));
             }
             sums.resize(joints, 0.0);
-            sums.iter_mut().zip(numbers).for_each(|(sum, number)| *sum += number);
+            sums.iter_mut().zip(&numbers).for_each(|(sum, number)| *sum += number);
         }
     }
     Ok(())
@@ -186,8 +195,8 @@ impl Tape {
         py: Python<'_>,
         position: Option<Numbers<'_>>,
         velocity: Option<Numbers<'_>>,
-        bodies: Option<&Bound<'_, PyDict>>,
-        robots: Option<&Bound<'_, PyDict>>,
+        bodies: Option<&Bound<'_, PyAny>>,
+        robots: Option<&Bound<'_, PyAny>>,
         then: Option<&Bound<'_, Gradient>>,
     ) -> PyResult<Gradient> {
         let particles = self.tape.end().id.len();

@@ -18,14 +18,14 @@ use super::dynamics::{self, Place};
 use super::joints::Slopes;
 use super::solve::Whole;
 use super::together::{self, Together};
-use super::touching::{Obstacle, Pair, Span};
+use super::touching::{Obstacle, Origin, Pair, Points, Span};
 use crate::Refusal;
 use crate::motion::{Pose, rotation_vector};
 use barchan_core::contact::adjoint::{BodyInStep, NearCotangents, drive_back};
 use barchan_core::contact::{Grip, System, Touch, Twist};
 use barchan_core::coupling::{BodiesOwed, BodiesTold};
 use barchan_core::gradient::{BodyCotangents, PoseCotangent, RobotCotangents, RobotGradient};
-use barchan_core::scene::Contact;
+use barchan_core::scene::{self, Contact};
 use barchan_core::{NodeBatch, Result, Wrench};
 use glam::{DQuat, DVec3};
 use nalgebra::{DMatrix, DVector};
@@ -63,12 +63,12 @@ enum Number {
     Energy,
     /// Of a body.
     Mass(usize),
-    Friction,
 }
 
 /// How L changes with a contact point that gives an impulse.
 struct OfPoint {
     touch: Touch,
+    origin: Origin,
     velocity: DVec3,
     normal: DVec3,
     arm: DVec3,
@@ -80,9 +80,26 @@ struct OfPoint {
     twist: Twist,
 }
 
+/// Contact points, as they are somewhere.
+#[derive(Clone, Copy)]
+struct Found<'a> {
+    touches: &'a [Touch],
+    nodes: &'a NodeBatch,
+    origins: &'a [Origin],
+}
+
+/// Normal and coefficient of friction of a contact point.
+fn of_grip(touch: &Touch) -> (DVec3, f64) {
+    match touch.grip {
+        Grip::Coulomb { normal, friction, .. } => (normal, friction),
+        _ => (DVec3::ZERO, 0.0),
+    }
+}
+
 impl OfPoint {
     /// Of those of these points that give an impulse to a link.
-    fn all(touches: &[Touch], nodes: &NodeBatch, place: &Place, rates: [&DVector<f64>; 2]) -> Vec<Self> {
+    fn all(found: Found<'_>, place: &Place, rates: [&DVector<f64>; 2]) -> Vec<Self> {
+        let Found { touches, nodes, origins } = found;
         let [twist, multiplier] = rates.map(|rates| place.twist(rates));
         let owed = Wrench { force: multiplier.linear.to_array(), torque: multiplier.angular.to_array() };
         let of_touch = |touch: &Touch| {
@@ -99,6 +116,7 @@ impl OfPoint {
             let grips = drive_back(&[Touch { node: 0, ..*touch }], &alone, &twist, &owed, &mut near, &mut body);
             Some(Self {
                 touch: *touch,
+                origin: origins[touch.node],
                 velocity: DVec3::from_array(near.velocity[0]),
                 normal: grips[0].normal,
                 arm: -body.position,
@@ -111,32 +129,35 @@ impl OfPoint {
         touches.iter().filter_map(of_touch).collect()
     }
 
-    /// What it comes to where the point has come to be; `None` where it is no more.
-    fn value(&self, touches: &[Touch], nodes: &NodeBatch, place: &Place, rates: [&DVector<f64>; 2]) -> Option<f64> {
-        let of_grip = |grip: &Grip| match *grip {
-            Grip::Coulomb { normal, friction, .. } => (normal, friction),
-            _ => (DVec3::ZERO, 0.0),
-        };
-        let (was, _) = of_grip(&self.touch.grip);
-        let apart = |touch: &Touch| {
-            let (normal, _) = of_grip(&touch.grip);
-            (touch.arm - self.touch.arm).length_squared() + (normal - was).length_squared()
-        };
-        let touch = touches.iter().min_by(|a, b| apart(a).total_cmp(&apart(b)))?;
-        let (normal, friction) = of_grip(&touch.grip);
+    /// What it comes to where the point has come to be, as apart or overlapping as it was; `None` where it is no more.
+    fn value(&self, found: Found<'_>, place: &Place, rates: [&DVector<f64>; 2], dt: f64) -> Option<f64> {
+        let Found { touches, nodes, origins } = found;
+        let (was, _) = of_grip(&self.touch);
+        let apart =
+            |touch: &Touch| (touch.arm - self.touch.arm).length_squared() + (of_grip(touch).0 - was).length_squared();
+        let same = touches.iter().filter(|touch| origins[touch.node].obstacle == self.origin.obstacle);
+        let touch = same.min_by(|a, b| apart(a).total_cmp(&apart(b))).filter(|touch| apart(touch) < SAME * SAME)?;
+        let (normal, _) = of_grip(touch);
+        let origin = &origins[touch.node];
+        let closes = origin.push(dt) - origin.push_like(&self.origin, dt);
+        let velocity = DVec3::from_array(nodes.velocity[touch.node]) - normal * closes;
         let [twist, multiplier] = rates.map(|rates| place.twist(rates));
         let [force, torque] = [self.impulse.force, self.impulse.torque].map(DVec3::from_array);
         Some(
-            self.velocity.dot(DVec3::from_array(nodes.velocity[touch.node]))
+            self.velocity.dot(velocity)
                 + self.normal.dot(normal - was)
                 + self.arm.dot(touch.arm - self.touch.arm)
                 + self.mass * nodes.mass[touch.node]
-                + self.friction * friction
                 + self.twist.linear.dot(twist.linear)
                 + self.twist.angular.dot(twist.angular)
                 + force.dot(multiplier.linear)
                 + torque.dot(multiplier.angular),
         )
+    }
+
+    /// What is owed to the coefficient of friction of a body, if this point has that body's: of two bodies that meet it is the smaller one.
+    fn friction_of(&self, friction: f64) -> f64 {
+        if of_grip(&self.touch).1 == friction { self.friction } else { 0.0 }
     }
 }
 
@@ -165,8 +186,8 @@ struct Meetings<'a> {
     points: Vec<Vec<OfPoint>>,
 }
 
-/// How near a robot has to be to a tool that something may be owed to it [m].
-const AROUND: f64 = 1e-2;
+/// Contact points that are less far apart are the same one: between places of them [m], and normals.
+const SAME: f64 = 1e-3;
 
 impl Robot {
     /// As the step under way began, once more.
@@ -235,16 +256,14 @@ impl Robot {
         after.advance()?;
         let poses = (0..self.solids.len()).map(|body| after.pose(body)).collect();
         let mut behind = Behind { bodies: bodies.to_vec(), joints, poses, handed: Vec::new() };
-        let value = |rate: usize, by: f64| {
-            let mut tried = self.clone();
-            tried.step.rates[rate] += by;
-            tried.advance()?;
-            Some(tried.owed_here(&behind))
-        };
         let mut owed = DVector::zeros(self.step.rates.len());
         for rate in 0..owed.len() {
-            let by = DIFFERENCE * self.step.rates[rate].abs().max(1.0);
-            owed[rate] = (value(rate, by)? - value(rate, -by)?) / (2.0 * by);
+            owed[rate] = slope(DIFFERENCE * self.step.rates[rate].abs().max(1.0), |by| {
+                let mut tried = self.clone();
+                tried.step.rates[rate] += by;
+                tried.advance()?;
+                Some(tried.owed_here(&behind))
+            })?;
         }
         behind.handed = self.twists(&self.step.squares.solve(&owed));
         Some(behind)
@@ -262,7 +281,6 @@ impl Robot {
             all.extend((0..drives).map(Number::Position));
             all.extend((drives > 0).then_some(Number::Energy));
         }
-        all.extend((self.friction > 0.0).then_some(Number::Friction));
         all
     }
 
@@ -304,7 +322,6 @@ impl Robot {
                     guided.mass += by;
                 }
             }
-            Number::Friction => self.friction += by,
         }
     }
 
@@ -317,8 +334,9 @@ impl Robot {
         for (drive, slopes) in joints.iter().enumerate() {
             let owed = multiplier[self.base_rates() + drive];
             let ([least, most], target) = (self.model.drives[drive].limits, self.step.orders[drive].target);
-            // A target that balance has brought to a limit stays there.
-            let follows = self.corrections.is_empty() || (target > least && target < most);
+            // What is told stays within limits, and so does what balance makes of it.
+            let is_bounded = self.state.orders.is_some() || self.corrects(drive);
+            let follows = !is_bounded || (target > least && target < most);
             targets[drive] += if follows { owed * slopes.target } else { 0.0 };
             rates[drive] += owed * slopes.rate;
             torques[drive] += owed * slopes.torque;
@@ -355,10 +373,10 @@ impl Robot {
         }
         sum += self.value_of_points(points, both)?;
         let own = &self.step.points;
-        for (bodies, points) in pairs {
+        for (bodies, points) in pairs.iter().filter(|(_, points)| !points.is_empty()) {
             let Pair { place, touches, .. } = own.pairs.iter().find(|pair| pair.bodies == *bodies)?;
             for point in points {
-                sum += point.value(touches, &own.nodes, place, both)?;
+                sum += point.value(self.found(touches), place, both, self.step.dt)?;
             }
         }
         self.step.rates.copy_from(rates);
@@ -372,11 +390,28 @@ impl Robot {
         let mut sum = 0.0;
         for ((points, touches), &link) in points.iter().zip(&own.touches).zip(&self.solids) {
             for point in points {
-                sum += point.value(touches, &own.nodes, &self.step.places[link], rates)?;
+                sum += point.value(self.found(touches), &self.step.places[link], rates, self.step.dt)?;
             }
         }
         Some(sum)
     }
+
+    /// Some of its contact points.
+    fn found<'a>(&'a self, touches: &'a [Touch]) -> Found<'a> {
+        let Points { nodes, origins, .. } = &self.step.points;
+        Found { touches, nodes, origins }
+    }
+}
+
+/// The derivative of a value at 0, by differences of this length; from one side where it has no value on the other, since points may come or go there.
+fn slope(by: f64, mut value: impl FnMut(f64) -> Option<f64>) -> Option<f64> {
+    let found = match (value(by), value(-by)) {
+        (Some(more), Some(less)) => (more - less) / (2.0 * by),
+        (Some(more), None) => (more - value(0.0)?) / by,
+        (None, Some(less)) => (value(0.0)? - less) / by,
+        (None, None) => return None,
+    };
+    Some(found).filter(|slope| slope.is_finite())
 }
 
 /// The solution of a system that need not be symmetric.
@@ -399,7 +434,12 @@ impl Together {
 
     /// How L changes with the points between these robots.
     fn points_back(&self, rates: [&DVector<f64>; 2]) -> Vec<Vec<OfPoint>> {
-        self.meetings.iter().map(|one| OfPoint::all(&one.touches, &self.nodes, &one.place, rates)).collect()
+        self.meetings.iter().map(|one| OfPoint::all(self.found(&one.touches), &one.place, rates)).collect()
+    }
+
+    /// Some of their points.
+    fn found<'a>(&'a self, touches: &'a [Touch]) -> Found<'a> {
+        Found { touches, nodes: &self.nodes, origins: &self.origins }
     }
 }
 
@@ -421,7 +461,7 @@ impl<'a> Meetings<'a> {
             let is_same = |one: &&together::Meeting| one.links == was.links && one.image == was.image;
             let one = now.meetings.iter().find(is_same)?;
             for point in points {
-                sum += point.value(&one.touches, &now.nodes, &one.place, self.rates.each_ref())?;
+                sum += point.value(now.found(&one.touches), &one.place, self.rates.each_ref(), span.dt)?;
             }
         }
         Some(sum)
@@ -454,6 +494,11 @@ impl Robots {
             self.behind.push(behind);
         }
         Ok(self.behind.iter().flat_map(|behind| behind.handed.iter().copied()).collect())
+    }
+
+    /// Does a robot's contact know a coefficient of friction?
+    fn rubs(&self, robot: usize) -> bool {
+        matches!(self.contacts[robot], Contact::Coulomb { .. })
     }
 
     /// A step, as robots begin it.
@@ -500,8 +545,8 @@ impl Robots {
         };
         let places = || robot.solids.iter().map(|&link| &robot.step.places[link]);
         let points = &robot.step.points;
-        let of_link = |(touches, place): (&Vec<Touch>, &Place)| OfPoint::all(touches, &points.nodes, place, both);
-        let of_pair = |pair: &Pair| (pair.bodies, OfPoint::all(&pair.touches, &points.nodes, &pair.place, both));
+        let of_link = |(touches, place): (&Vec<Touch>, &Place)| OfPoint::all(robot.found(touches), place, both);
+        let of_pair = |pair: &Pair| (pair.bodies, OfPoint::all(robot.found(&pair.touches), &pair.place, both));
         let drives = 0..robot.model.drives.len();
         Part {
             behind,
@@ -551,16 +596,9 @@ impl Robots {
                 Some(of_others? + tried.value(&parts[r])?)
             };
             let robot = &self.robots[r];
-            let mut slope = |number: Number| -> Result<f64> {
-                let by = DIFFERENCE * robot.scale(number);
-                let found = match (value(number, by), value(number, -by)) {
-                    (Some(more), Some(less)) => Some((more - less) / (2.0 * by)),
-                    // Points may come or go on one side.
-                    (Some(more), None) => value(number, 0.0).map(|here| (more - here) / by),
-                    (None, Some(less)) => value(number, 0.0).map(|here| (here - less) / by),
-                    (None, None) => None,
-                };
-                found.filter(|slope| slope.is_finite()).ok_or_else(|| self.rough(r))
+            let mut slope = |number: Number| {
+                let found = slope(DIFFERENCE * robot.scale(number), |by| value(number, by));
+                found.ok_or_else(|| self.rough(r))
             };
             let mut base = BodyCotangents::default();
             let PoseCotangent { position, rotation } = &mut base.pose;
@@ -579,7 +617,6 @@ impl Robots {
                         told.bodies[own.start + body].mass += found;
                         of_mass = found;
                     }
-                    Number::Friction => told.bodies[own.start].friction += found,
                     Number::Rate(rate) => match (rate.checked_sub(robot.base_rates()), robot.guided) {
                         (None, _) if rate < 3 => base.velocity[rate] = found,
                         (None, _) => base.angular_velocity[rate - 3] = found,
@@ -591,13 +628,17 @@ impl Robots {
             for (body, (owed, found)) in owed.bodies[own.clone()].iter_mut().zip(&found[own.clone()]).enumerate() {
                 let start = if body == 0 { base } else { BodyCotangents::default() };
                 *owed = BodyCotangents { impulse: owed.impulse, ..start };
-                if matches!(self.contacts[r], Contact::Coulomb { .. }) {
+                if self.rubs(r) {
                     told.bodies[own.start].friction += found.friction;
                 }
             }
+            if self.rubs(r) {
+                let points = parts[r].points.iter().chain(parts[r].pairs.iter().map(|(_, points)| points)).flatten();
+                told.bodies[own.start].friction += points.map(|point| point.friction_of(robot.friction)).sum::<f64>();
+            }
             let multiplier = &multipliers[r];
-            match (robot.guided, number) {
-                (Some(guided), _) => {
+            match robot.guided {
+                Some(guided) => {
                     let of_force = dt * multiplier[0];
                     let body = &mut told.bodies[own.start];
                     body.force += of_force * guided.servo.share_at(time);
@@ -605,7 +646,7 @@ impl Robots {
                         body.force += of_mass * guided.mass / guided.servo.whole();
                     }
                 }
-                (None, _) => {
+                None => {
                     let weighed = |axis: usize| {
                         dynamics::gravity(&robot.model, &robot.step.places, DVec3::AXES[axis], multiplier.len())
                             .dot(multiplier)
@@ -616,6 +657,18 @@ impl Robots {
             if let Some(number) = number {
                 owed.robots[number] = joints;
                 robot.told_back(multiplier, &parts[r].joints, &mut told.robots[number]);
+            }
+        }
+        for meetings in &meetings {
+            for (points, meeting) in meetings.points.iter().zip(&meetings.together.meetings) {
+                let both = meeting.links.map(|(robot, _)| meetings.together.robots[robot]);
+                for point in points {
+                    // Of equal ones it is the first one's.
+                    let has = |robot: &&usize| of_grip(&point.touch).1 == self.robots[**robot].friction;
+                    if let Some(&robot) = both.iter().find(has).filter(|robot| self.rubs(**robot)) {
+                        told.bodies[self.bodies_of(robot, 0).start].friction += point.friction;
+                    }
+                }
             }
         }
         Ok(of_gravity)
@@ -638,41 +691,35 @@ impl Robots {
         let parts = self.parts(dt, found, &self.multipliers(found)?);
         let begun = self.begun(&around)?;
         for (t, tool) in self.tools.iter().enumerate() {
-            let Some(name) = tool.name() else { continue };
-            let touching = |(r, part): (usize, &'_ Part<'_>)| {
-                let reached = begun[r].boxes().into_iter().any(|one| tool.bounds().meets(&one.grown(AROUND)));
-                (reached && begun[r].guided.is_none() && part.points.iter().any(|points| !points.is_empty()))
-                    .then_some(r)
-            };
-            let touching: Vec<usize> = parts.iter().enumerate().filter_map(touching).collect();
-            if touching.is_empty() {
-                continue;
-            }
-            let value = |place: usize, by: f64| -> Option<f64> {
+            let Some(scene::Tool { name, contact, .. }) = tool.tool() else { continue };
+            let is_of_tool = |r: usize, point: &OfPoint| point.origin.obstacle == Some(self.robots[r].walls.len() + t);
+            let of_robot = |r: usize| parts[r].points.iter().flatten().filter(move |point| is_of_tool(r, point));
+            let touching: Vec<usize> = (0..parts.len()).filter(|&r| of_robot(r).next().is_some()).collect();
+            let Some(&first) = touching.first() else { continue };
+            let value = |number: usize, by: f64| -> Option<f64> {
                 let mut tried = tool.clone();
-                tried.vary(place, by);
-                let tools: Vec<&Obstacle> =
-                    self.tools.iter().enumerate().map(|(i, one)| if i == t { &tried } else { one }).collect();
-                let mut sum = 0.0;
-                for &r in &touching {
+                tried.vary(number, by);
+                let tools = [&tools[..t], &[&tried], &tools[t + 1..]].concat();
+                let of_robot = |&r: &usize| {
                     let mut robot = begun[r].clone();
                     let mut points = std::mem::take(&mut robot.step.points);
                     robot.find_points(&robot.boxes(), &tools, around.span, &mut points);
                     robot.step.points = points;
-                    sum += robot.value_of_points(&parts[r].points, [&parts[r].rates, &parts[r].multiplier])?;
-                }
-                Some(sum)
+                    robot.value_of_points(&parts[r].points, [&parts[r].rates, &parts[r].multiplier])
+                };
+                touching.iter().map(of_robot).sum()
             };
             let mut numbers = [0.0; 12];
-            for (place, number) in numbers.iter_mut().enumerate() {
-                let both = value(place, DIFFERENCE).zip(value(place, -DIFFERENCE));
-                *number = both
-                    .map(|(more, less)| (more - less) / (2.0 * DIFFERENCE))
-                    .ok_or_else(|| self.rough(touching[0]))?;
+            for (number, found) in numbers.iter_mut().enumerate() {
+                *found = slope(DIFFERENCE, |by| value(number, by)).ok_or_else(|| self.rough(first))?;
             }
             let three = |from: usize| DVec3::from_slice(&numbers[from..from + 3]);
             let twist = Twist { linear: three(6), angular: three(9) };
-            seen.push((name.to_owned(), BodyInStep { position: three(0), rotation: three(3), twist, friction: 0.0 }));
+            // Of equal ones it is the robot's.
+            let smoother = touching.iter().filter(|&&r| tool.friction() < self.robots[r].friction);
+            let friction = smoother.flat_map(|&r| of_robot(r)).map(|point| point.friction_of(tool.friction()));
+            let friction = if matches!(contact, Contact::Coulomb { .. }) { friction.sum() } else { 0.0 };
+            seen.push((name.clone(), BodyInStep { position: three(0), rotation: three(3), twist, friction }));
         }
         Ok(seen)
     }

@@ -55,6 +55,11 @@ pub(super) struct Leaning {
 }
 
 impl Robot {
+    /// Does balance correct what a motor is told?
+    pub(super) fn corrects(&self, drive: usize) -> bool {
+        self.corrections.iter().any(|correction| correction.drive == drive)
+    }
+
     /// How the base leans now, if anything corrects that.
     pub(super) fn leaning(&self) -> Option<Leaning> {
         if self.corrections.is_empty() {

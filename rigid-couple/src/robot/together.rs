@@ -7,7 +7,7 @@
 use super::Robot;
 use super::dynamics::Place;
 use super::solve::{Balance, Balanced, Whole, add_system, mended};
-use super::touching::{HEAVY, Seen, Span, among, forces};
+use super::touching::{HEAVY, Origin, Seen, Span, among, forces};
 use barchan_core::contact::{System, Touch, Twist};
 use barchan_core::{Aabb, NodeBatch};
 use glam::DVec3;
@@ -22,6 +22,7 @@ pub struct Together {
     /// Where the rates of each begin, and at the end their number.
     firsts: Vec<usize>,
     pub(super) nodes: NodeBatch,
+    pub(super) origins: Vec<Origin>,
     pub(super) meetings: Vec<Meeting>,
 }
 
@@ -59,7 +60,7 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
         there.map(|link| link.bounds.grown(link.ahead)).reduce(|a, b| a.union(&b)).unwrap_or(Aabb::NOTHING)
     };
     let whole: Vec<Aabb> = seen.iter().map(around).collect();
-    let (mut nodes, mut found) = (NodeBatch::default(), Vec::new());
+    let (mut nodes, mut origins, mut found) = (NodeBatch::default(), Vec::new(), Vec::new());
     for second in 0..robots.len() {
         let may_touch = |first: usize| {
             let mut images = span.images.meeting(&whole[first], &whole[second]);
@@ -74,7 +75,7 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
                         continue;
                     }
                     for image in span.images.beside(&link.bounds, &other.bounds) {
-                        let touches = among([link, other], image, &mut nodes, mass, span);
+                        let touches = among([link, other], image, (&mut nodes, &mut origins), mass, span);
                         if !touches.is_empty() {
                             found.push(Found { links: [(first, a), (second, b)], image, touches });
                         }
@@ -92,6 +93,7 @@ pub(super) fn find(robots: &[Robot], boxes: &[Vec<Aabb>], span: Span) -> Vec<Tog
             own.nodes.position.push(nodes.position[from]);
             own.nodes.mass.push(nodes.mass[from]);
             own.nodes.velocity.push(nodes.velocity[from]);
+            own.origins.push(origins[from]);
         }
         let links = links.map(|(robot, body)| (own.robots.partition_point(|one| *one < robot), body));
         let place = own.place_of(robots, links, image);

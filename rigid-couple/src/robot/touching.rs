@@ -155,9 +155,14 @@ impl Obstacle {
         }
     }
 
-    /// Its name; none of a wall.
-    pub(super) fn name(&self) -> Option<&str> {
-        self.tool.as_ref().map(|driven| driven.tool.name.as_str())
+    /// The tool that it is; none of a wall.
+    pub(super) fn tool(&self) -> Option<&Tool> {
+        self.tool.as_ref().map(|driven| &driven.tool)
+    }
+
+    /// Its coefficient of friction.
+    pub(super) fn friction(&self) -> f64 {
+        self.friction
     }
 
     /// What it is called.
@@ -224,11 +229,42 @@ pub fn pairs_of(
     pairs
 }
 
+/// What a contact point comes of.
+#[derive(Clone, Copy, Debug)]
+pub struct Origin {
+    /// The number of the obstacle that is touched, if it is one.
+    pub obstacle: Option<usize>,
+    /// The gap [m].
+    gap: f64,
+    /// How fast a bounce closes it [m/s], which is less than nothing; and does it bounce?
+    bounce: f64,
+    bounces: bool,
+}
+
+impl Origin {
+    /// How fast the gap may close in a step of `dt` [s], on the side of the case distinctions on which another point is: it bounces, or is apart, or overlaps [m/s].
+    pub fn push_like(&self, other: &Self, dt: f64) -> f64 {
+        let gap = self.gap;
+        match (other.bounces, other.gap > 0.0) {
+            (true, _) => self.bounce,
+            (_, true) => gap / dt,
+            (_, false) => gap * (PUSH / dt).min(FASTEST_PUSH),
+        }
+    }
+
+    /// The same on its own side.
+    pub fn push(&self, dt: f64) -> f64 {
+        self.push_like(self, dt)
+    }
+}
+
 /// Contact points as nodes, and which link touches which.
 #[derive(Clone, Debug, Default)]
 pub struct Points {
     /// The points.
     pub nodes: NodeBatch,
+    /// What each comes of.
+    pub origins: Vec<Origin>,
     /// What each link touches.
     pub touches: Vec<Vec<Touch>>,
     /// Links that touch one another.
@@ -288,6 +324,8 @@ pub struct Span {
 /// Adds contact points to the nodes.
 struct Adder<'a> {
     nodes: &'a mut NodeBatch,
+    origins: &'a mut Vec<Origin>,
+    obstacle: Option<usize>,
     touches: &'a mut Vec<Touch>,
     link: &'a Seen<'a>,
     friction: f64,
@@ -301,13 +339,15 @@ impl Adder<'_> {
     /// A point of a surface that moves at `surface` [m/s], with its normal out of that surface; the node's velocity is seen from what moves at `frame`.
     fn add(&mut self, at: DVec3, normal: DVec3, gap: f64, [surface, frame]: [DVec3; 2]) {
         let Span { dt, gravity, .. } = self.span;
-        let mut push = if gap > 0.0 { gap / dt } else { gap * (PUSH / dt).min(FASTEST_PUSH) };
+        let mut origin = Origin { obstacle: self.obstacle, gap, bounce: 0.0, bounces: false };
         if self.restitution > 0.0 {
             let approach = (surface - self.link.twist.at(at - self.link.place.centre)).dot(normal);
-            if approach > SLOW + STEPS_OF_GRAVITY * gravity * dt && gap <= approach * dt {
-                push = push.min(-self.restitution * approach);
-            }
+            origin.bounce = -self.restitution * approach;
+            let is_blow = approach > SLOW + STEPS_OF_GRAVITY * gravity * dt && gap <= approach * dt;
+            origin.bounces = is_blow && origin.bounce < origin.push(dt);
         }
+        let push = origin.push(dt);
+        self.origins.push(origin);
         let velocity = surface - frame;
         self.touches.push(Touch {
             node: self.nodes.mass.len(),
@@ -326,6 +366,7 @@ impl Points {
     /// Forgets all points, keeping the memory.
     pub fn clear(&mut self) {
         self.nodes.clear();
+        self.origins.clear();
         self.touches.iter_mut().for_each(Vec::clear);
         self.pairs.clear();
     }
@@ -341,8 +382,8 @@ impl Points {
     ) {
         self.clear();
         self.touches.resize_with(links.len(), Vec::new);
-        let nodes = &mut self.nodes;
-        for obstacle in obstacles.filter(|obstacle| obstacle.is_present(span.time)) {
+        let (nodes, origins) = (&mut self.nodes, &mut self.origins);
+        for (o, obstacle) in obstacles.enumerate().filter(|(_, obstacle)| obstacle.is_present(span.time)) {
             let Obstacle { parts, pose, twist, bounds, .. } = obstacle;
             let ahead = obstacle.ahead(span.dt);
             for (link, touches) in links.iter().zip(&mut self.touches) {
@@ -354,7 +395,9 @@ impl Points {
                     let pose = pose.moved(image);
                     let friction = link.friction.min(obstacle.friction);
                     let restitution = link.restitution;
-                    let mut adder = Adder { nodes, touches, link, friction, restitution, mass, span };
+                    let obstacle = Some(o);
+                    let mut adder =
+                        Adder { nodes, origins, obstacle, touches, link, friction, restitution, mass, span };
                     between((parts, &pose), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
                         adder.add(at, normal, gap, [twist.at(at - pose.position), DVec3::ZERO]);
                     });
@@ -363,7 +406,7 @@ impl Points {
         }
         for &bodies in pairs {
             let both = bodies.map(|body| &links[body]);
-            let touches = among(both, DVec3::ZERO, nodes, mass, span);
+            let touches = among(both, DVec3::ZERO, (nodes, origins), mass, span);
             if !touches.is_empty() {
                 let place = both[0].place.against(both[1].place);
                 self.pairs.push(Pair { bodies, place, touches });
@@ -382,7 +425,13 @@ pub fn forces(nodes: &NodeBatch, touches: &[Touch], twist: &Twist, dt: f64) -> i
 }
 
 /// What the first of two links touches of the second, which is as far off as that `image` of it [m], in a frame that moves with that; points weigh `mass` [kg].
-pub fn among([link, other]: [&Seen<'_>; 2], image: DVec3, nodes: &mut NodeBatch, mass: f64, span: Span) -> Vec<Touch> {
+pub fn among(
+    [link, other]: [&Seen<'_>; 2],
+    image: DVec3,
+    (nodes, origins): (&mut NodeBatch, &mut Vec<Origin>),
+    mass: f64,
+    span: Span,
+) -> Vec<Touch> {
     let mut touches = Vec::new();
     let ahead = link.ahead + other.ahead;
     let (Some(body), Some(others)) = (link.body, other.body) else { return touches };
@@ -391,7 +440,8 @@ pub fn among([link, other]: [&Seen<'_>; 2], image: DVec3, nodes: &mut NodeBatch,
     }
     let friction = link.friction.min(other.friction);
     let restitution = link.restitution.max(other.restitution);
-    let mut adder = Adder { nodes, touches: &mut touches, link, friction, restitution, mass, span };
+    let obstacle = None;
+    let mut adder = Adder { nodes, origins, obstacle, touches: &mut touches, link, friction, restitution, mass, span };
     let pose = other.place.pose().moved(image);
     between((&others.0, &pose), (&body.0, &link.place.pose()), ahead, &mut |at, normal, gap| {
         adder.add(at, normal, gap, [other.twist.at(at - pose.position); 2]);

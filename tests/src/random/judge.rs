@@ -22,6 +22,8 @@ const MOMENTUM: [f64; 2] = [1e-9, 1e-3];
 const APART: [f64; 2] = [1e-3, 0.05];
 /// Gradients over parts may be off by this from that over all, relative to the greatest: both are found in f64.
 const CHAIN: f64 = 1e-9;
+/// And by this where robots, whose own equations are differentiated by differences, take part.
+const CHAIN_OF_ROBOTS: f64 = 1e-6;
 
 /// A rule that a scene breaks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
@@ -337,7 +339,8 @@ impl Judge {
             let size = whole.iter().flatten().fold(0.0, |most: f64, x| most.max(x.abs()));
             let apart = whole.iter().flatten().zip(parted.iter().flatten()).map(|(a, b)| (a - b).abs());
             let apart = apart.fold(0.0, |most: f64, x| if x > most || x.is_nan() { x } else { most });
-            if apart.is_nan() || apart > CHAIN * size {
+            let most = if scene.has_robots() { CHAIN_OF_ROBOTS } else { CHAIN };
+            if apart.is_nan() || apart > most * size {
                 return broken(Rule::Gradient, format!("by {what} it is off by {apart:e} of {size:e}"));
             }
         }

@@ -1,9 +1,9 @@
 //! Gradients through steps that a device took: they are taken again there, and gone back through on the CPU in f64.
 
 use super::{cpu, gpu};
-use barchan::{Cotangents, Gradient, Options, Precision, Simulation, Tape};
+use barchan::{Command, Cotangents, Gradient, Options, Precision, Simulation, Tape};
 use barchan_tests::scenes::{options, within};
-use barchan_tests::sketch::{Head, block, driven, half, material, tool};
+use barchan_tests::sketch::{Head, block, driven, half, hopper, material, tool};
 
 /// A block that falls on the floor and spreads.
 fn spreads(law: &str, parameters: &str) -> String {
@@ -121,5 +121,47 @@ fn gradients_go_through_tools_on_a_device() {
             let apart = (0..3).map(|d| (found[d] - expected[d]).abs()).fold(0.0, f64::max);
             within(&format!("{name}: {what}"), apart / size, 1e-2);
         }
+    }
+}
+
+/// Through a robot that lands, whose joints the device solves with the ground: by its motors' targets, its speed and its joints.
+#[test]
+fn gradients_go_through_robots_on_a_device() {
+    let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
+    let robot = format!(
+        "[[robot]]\nname = \"hopper\"\nurdf = {:?}\nposition = [0.1, 0.1, 0.345]\nvelocity = [0.1, 0.0, -1.0]\njoints = {{ hip = 0.1, knee = -0.5 }}\ncontact = {{ coulomb = {{ friction = 0.4 }} }}\nmotor = [{{ kp = 30, kd = 0.4 }}]\n",
+        hopper(folder.path(), [1.0; 2])
+    );
+    let text = spreads("neo_hookean", "young_modulus = 2e4") + &robot;
+    let [host, device] = [cpu(&text), gpu(&text)].map(|mut sim| {
+        sim.act("hopper", &Command::JointTargets(vec![0.2, -0.4])).unwrap_or_else(|e| panic!("{e}"));
+        let tape = sim.record(&barchan::registry(), 0.06).unwrap_or_else(|e| panic!("{e}"));
+        let mut loss = Cotangents::zero(tape.end().id.len());
+        loss.position.iter_mut().for_each(|of| of[0] = 1.0 / tape.end().id.len() as f64);
+        loss.bodies.resize_with(tape.end().bodies.len(), Default::default);
+        loss.bodies[0].velocity = [0.0, 0.0, 0.1];
+        loss.robots.resize_with(1, Default::default);
+        loss.robots[0].positions = vec![0.2, -0.1];
+        let felt: f64 = tape.impulses().iter().map(|felt| felt.force[2]).sum();
+        (felt, tape.pull_back(loss).unwrap_or_else(|e| panic!("{e}")))
+    });
+    assert!(host.0 > 0.05, "it lands: {}", host.0);
+    within("impulse", (device.0 / host.0 - 1.0).abs(), 1e-3);
+    are_alike("hopper", &device.1, &host.1);
+    let numbers = |gradient: &Gradient| {
+        let (base, joints) = (&gradient.particles.bodies[0], &gradient.particles.robots[0]);
+        let told = &gradient.robots[0];
+        [
+            base.velocity.to_vec(),
+            base.pose.position.to_vec(),
+            joints.positions.clone(),
+            joints.rates.clone(),
+            told.targets.clone(),
+        ]
+    };
+    for (found, expected) in numbers(&device.1).into_iter().zip(numbers(&host.1)) {
+        let size = expected.iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+        let apart = found.iter().zip(&expected).map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+        within(&format!("{found:?} {expected:?}"), apart / size, 1e-2);
     }
 }

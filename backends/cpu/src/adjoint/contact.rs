@@ -223,15 +223,15 @@ impl Met {
 /// Which bodies and which robots are each coupling's.
 fn parts(couplings: &[Box<dyn Coupling>]) -> Vec<[Range<usize>; 2]> {
     let mut ends = [0; 2];
-    let part = |coupling: &Box<dyn Coupling>| {
-        let counts = [coupling.wrenches().len(), coupling.robots().len()];
+    let counts = couplings.iter().map(|coupling| [coupling.wrenches().len(), coupling.robots().len()]);
+    let part = |counts: [usize; 2]| {
         std::array::from_fn(|k| {
             let start = ends[k];
             ends[k] += counts[k];
             start..ends[k]
         })
     };
-    couplings.iter().map(part).collect()
+    counts.map(part).collect()
 }
 
 /// What is owed to bodies gets what is owed to them for what others have seen of them.

@@ -164,7 +164,7 @@ class Impulse:
 
 @dataclass(frozen=True, eq=False)
 class BodyGradient:
-    """Derivatives of a loss by a tool, or by the base or a link of a robot. Where the whole robot is, and how it moves, is by its base: of links these are 0."""
+    """Derivatives of a loss by a tool, or by the base or a link of a robot. Where the whole robot is, and how it moves, is by its base: of links these are 0. Positions are those of `Simulation.bodies`: a base's is its centre of mass, while `Simulation.place` takes the origin of its frame."""
 
     position: NDArray[np.float64]
     """By its position at the start of the tape [1/m], (3,); 0 if it moves along keyframes."""
@@ -197,7 +197,7 @@ class RobotGradient:
     rates: NDArray[np.float64]
     """By their rates there [s/rad or s/m], (n,)."""
     targets: NDArray[np.float64]
-    """By the targets that their motors were told over the tape [1/rad or 1/m], (n,); of motion that the scene gives, by all of its positions alike."""
+    """By the targets that their motors were told over the tape [1/rad or 1/m], (n,): 0 at a joint's limit, within which they are kept; of motion that the scene gives, by all of its positions alike."""
     target_rates: NDArray[np.float64]
     """By the target rates, likewise [s/rad or s/m], (n,)."""
     torques: NDArray[np.float64]

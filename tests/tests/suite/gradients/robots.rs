@@ -4,8 +4,7 @@ use super::tools::{WAY, along, cross, inner, on_top, rotated, turned};
 use super::{AWAKE, H, Noise, Vec3, by_number, difference, dot, simulation, weights, within};
 use barchan::gradient::{BodyCotangents, Gradient, PoseCotangent, RobotCotangents};
 use barchan::{Command, Cotangents, Placement, Precision, Tape, Wrench};
-use barchan_tests::sketch::{Head, block, half, material, tool};
-use std::path::Path;
+use barchan_tests::sketch::{Head, block, half, hopper, material, tool};
 
 /// Steps of 1 ms.
 const STEPS: u32 = 8;
@@ -19,32 +18,6 @@ impl Change {
     fn of(&self, what: &str) -> f64 {
         if self.0 == what { self.1 } else { 0.0 }
     }
-}
-
-/// The robot of these tests: a base on one leg with a hip, a knee that slides or turns, and a ball for a foot.
-fn hopper(folder: &Path, change: Change) {
-    let (base, shank) = (1.0 + change.of("mass of the base") / 2.0, 1.0 + change.of("mass of a link") / 0.4);
-    let inertial = |mass: f64, about: f64, share: f64| {
-        let [mass, x, y, z] = [mass, about, 1.4 * about, 0.8 * about].map(|x| x * share);
-        format!(
-            "<inertial><mass value=\"{mass:?}\"/><inertia ixx=\"{x:?}\" iyy=\"{y:?}\" izz=\"{z:?}\" ixy=\"0\" ixz=\"0\" iyz=\"0\"/></inertial>"
-        )
-    };
-    let text = format!(
-        r#"<robot name="hopper">
-<link name="base">{}<collision><geometry><box size="0.16 0.12 0.06"/></geometry></collision></link>
-<joint name="hip" type="revolute"><parent link="base"/><child link="thigh"/><origin xyz="0.02 0.01 -0.03" rpy="0.1 0 0.2"/><axis xyz="0 1 0"/>
-<limit lower="-1" upper="0.42" effort="40" velocity="30"/><dynamics damping="0.02" friction="0.05"/></joint>
-<link name="thigh">{}</link>
-<joint name="knee" type="revolute"><parent link="thigh"/><child link="shank"/><origin xyz="0 0 -0.06"/><axis xyz="0.6 0.8 0"/>
-<limit lower="-2" upper="2" effort="1.5" velocity="30"/></joint>
-<link name="shank">{}<collision><origin xyz="0 0 -0.05"/><geometry><sphere radius="0.06"/></geometry></collision></link>
-</robot>"#,
-        inertial(2.0, 5e-3, base),
-        inertial(0.5, 8e-4, 1.0),
-        inertial(0.4, 6e-4, shank),
-    );
-    std::fs::write(folder.join("hopper.urdf"), text).unwrap_or_else(|e| panic!("{e}"));
 }
 
 /// What is changed, how long differences of it are, and what a gradient says of it.
@@ -65,11 +38,15 @@ struct Case<'a> {
 
 impl Case<'_> {
     fn tape(&self, change: Change) -> Tape {
+        self.tape_of(STEPS, change)
+    }
+
+    fn tape_of(&self, steps: u32, change: Change) -> Tape {
         let folder = tempfile::tempdir().unwrap_or_else(|e| panic!("{e}"));
-        hopper(folder.path(), change);
+        let shares = [1.0 + change.of("mass of the base") / 2.0, 1.0 + change.of("mass of a link") / 0.4];
+        let urdf = format!("{:?}", hopper(folder.path(), shares));
         let gravity = [0.6, 0.0, -9.81 - change.of("gravity")];
         let head = Head { gravity, ..Head::cells(H, [8, 8, 12], self.walls) };
-        let urdf = format!("{:?}", folder.path().join("hopper.urdf"));
         let parts = (self.parts)(change).replace("HOPPER", &urdf);
         let ground = block("neo_hookean", [0.0; 3], [5.0 * H, 5.0 * H, 3.0 * H], "");
         let jelly = material("neo_hookean", 1000.0, "young_modulus = 2e4, poisson_ratio = 0.3");
@@ -85,7 +62,7 @@ impl Case<'_> {
         for (body, command) in (self.told)(change) {
             sim.act(body, &command).unwrap_or_else(|e| panic!("{e}"));
         }
-        sim.record(&barchan::registry(), 1e-3 * f64::from(STEPS)).unwrap_or_else(|e| panic!("{e}"))
+        sim.record(&barchan::registry(), 1e-3 * f64::from(steps)).unwrap_or_else(|e| panic!("{e}"))
     }
 
     /// What a loss looks at: particles, where bodies end and how they move, what they felt, and joints.
@@ -153,7 +130,7 @@ fn joints(all: &[f64]) -> f64 {
 }
 
 /// A hopper in the ground, at a height [m], told all that a robot can be told.
-fn hop(walls: &str, height: f64, hip: f64, fixed: bool) {
+fn hop(walls: &str, height: f64, hip: f64, target: f64, fixed: bool) {
     let parts = |change: Change| {
         let friction = 0.3 + change.of("friction");
         let [kp, kd] = [("kp", 30.0), ("kd", 0.4)].map(|(name, gain)| gain + change.of(name));
@@ -174,7 +151,7 @@ fn hop(walls: &str, height: f64, hip: f64, fixed: bool) {
             joint_rates: Some(joint([1.2, -2.0], "joint rates")),
         };
         let motion = Command::JointMotion {
-            targets: Some(joint([0.2, -0.1], "targets")),
+            targets: Some(joint([target, -0.1], "targets")),
             rates: Some(joint([0.3, -0.2], "target rates")),
             torques: Some(joint([0.4, 0.5], "torques")),
         };
@@ -207,28 +184,29 @@ fn hop(walls: &str, height: f64, hip: f64, fixed: bool) {
 #[test]
 fn gradients_go_through_robots() {
     for fixed in [false, true] {
-        hop("z_min = \"stick\"\n", 0.27, 0.1, fixed);
+        hop("z_min = \"stick\"\n", 0.27, 0.1, 0.2, fixed);
     }
 }
 
-/// Likewise where a joint is at its stop, and where the foot stands on hard ground below the soft one.
+/// Likewise where a joint is at its stop, and told to go beyond it, and where the foot stands on hard ground below the soft one.
 #[test]
 fn gradients_go_through_stops_and_hard_ground() {
-    hop("z_min = \"stick\"\n", 0.27, 0.4195, false);
-    hop("z_min = { separate = { friction = 0.3 } }\n", 0.195, 0.1, false);
+    hop("z_min = \"stick\"\n", 0.27, 0.4195, 0.7, false);
+    hop("z_min = { separate = { friction = 0.3 } }\n", 0.195, 0.1, 0.2, false);
 }
 
 /// Likewise through free tools that touch one another, and a plate that moves as it is told and carries one.
 #[test]
 fn gradients_go_through_tools_that_touch() {
     let parts = |change: Change| {
+        let smoother = format!("{{ coulomb = {{ friction = {:?} }} }}", 0.2 + change.of("plate's friction"));
         let free = |mass: f64| {
             format!("{{ free = {{ mass = {mass:?}, linear = [0.1, -0.2, -1.0], angular = [1.5, -2.0, 1.0] }} }}")
         };
         let ball =
             tool("ball", [0.1, 0.12, 0.19], "sphere = { radius = 0.06 }", RUBBING, &free(0.8 + change.of("mass")));
         let cube = tool("cube", [0.105, 0.125, 0.287], &half([0.05, 0.04, 0.04]), RUBBING, &free(1.5));
-        let plate = tool("plate", [0.187, 0.12, 0.19], &half([0.03, 0.1, 0.05]), RUBBING, "{ velocity = {} }");
+        let plate = tool("plate", [0.187, 0.12, 0.19], &half([0.03, 0.1, 0.05]), &smoother, "{ velocity = {} }");
         [ball, cube, plate].concat()
     };
     let told = |change: Change| {
@@ -263,6 +241,7 @@ fn gradients_go_through_tools_that_touch() {
         by("plate's rotation", 1e-6, |found| inner(of(found, PLATE).rotation, WAY)),
         by("plate's velocity", 1e-5, |found| inner(found.bodies[PLATE].linear, WAY)),
         by("plate's turning", 1e-5, |found| inner(found.bodies[PLATE].angular, WAY)),
+        by("plate's friction", 1e-5, |found| found.bodies[PLATE].friction),
         by("mass", 1e-5, |found| found.bodies[BALL].mass),
     ];
     Case { walls: "z_min = \"stick\"\n", parts: &parts, told: &told }.compare(&changes);
@@ -297,5 +276,29 @@ fn gradients_go_through_what_a_force_pushes_beside_others() {
             changes.push(by("mass", 1e-5, |found| found.bodies[0].mass));
         }
         Case { walls: "z_min = \"stick\"\n", parts: &parts, told: &|_| Vec::new() }.compare(&changes);
+    }
+}
+
+/// A gap between rigid things closes at once, and an overlap slowly. Next to where they just touch, gradients are still those of the side that was taken.
+#[test]
+fn gradients_are_those_of_the_side_that_was_taken() {
+    for gap in [3e-7, -3e-7] {
+        let parts = |_: Change| {
+            let plate = tool("plate", [0.12, 0.13, 0.13], &half([0.08, 0.08, 0.04]), RUBBING, "\"fixed\"");
+            let ball =
+                tool("ball", [0.1, 0.1, 0.3], "sphere = { radius = 0.05 }", RUBBING, "{ free = { mass = 0.8 } }");
+            [plate, ball].concat()
+        };
+        let told = |change: Change| {
+            let position = Some([0.12, 0.13, 0.22 + gap + change.of("height")]);
+            vec![("ball", Command::Place(Placement { position, ..Placement::default() }))]
+        };
+        let case = Case { walls: "z_min = \"stick\"\n", parts: &parts, told: &told };
+        // Over the first step alone: behind it they rest on one another.
+        let tape = |by: f64| case.tape_of(1, Change("height", by));
+        let (_, loss) = Case::loss(&tape(0.0));
+        let found = tape(0.0).pull_back(loss).unwrap_or_else(|e| panic!("{e}")).particles.bodies[1].pose.position[2];
+        let expected = difference(5e-8, |by| Case::loss(&tape(by)).0);
+        within(&format!("{gap}: {found} {expected}"), (found / expected - 1.0).abs(), 1e-5);
     }
 }
