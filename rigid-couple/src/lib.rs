@@ -32,7 +32,7 @@ pub use robot::Robots;
 pub use sdf::Sdf;
 
 use barchan_core::plan::{ROBOT_COUPLING, TOOL_COUPLING};
-use barchan_core::scene::World;
+use barchan_core::scene::{Tool, World};
 use barchan_core::{Aabb, Error, Registry, Result, Scene};
 use std::sync::Arc;
 
@@ -81,6 +81,15 @@ impl Refusal {
     pub fn at(self, path: &str) -> Error {
         Error::Body { path: path.into(), what: self.what, mend: self.mend }
     }
+}
+
+/// Holds a scene's tools to being there throughout, which gradients need.
+fn always_there(scene: &Scene) -> Result<()> {
+    let is_late = |tool: &&Tool| tool.from > 0.0 || tool.until.is_some();
+    scene.tool.iter().find(is_late).map_or(Ok(()), |tool| {
+        let what = "gradients do not go through tools that appear or vanish";
+        Err(Refusal::new(what, "leave out from and until").at(&format!("tool '{}'", tool.name)))
+    })
 }
 
 /// Does a body in such a box reach into the world, or is it above it, to fall in?

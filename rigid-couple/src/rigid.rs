@@ -9,7 +9,7 @@ use crate::sdf::{self, ROUND, Sdf};
 use crate::surface::{mesh_of, placed, planes_of};
 use crate::tables::{Listed, Tables, row, rows};
 use crate::world::{RigidWorld, Role};
-use crate::{Refusal, is_within_reach};
+use crate::{Refusal, always_there, is_within_reach};
 use adjoint::Turn;
 use barchan_core::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
@@ -19,7 +19,7 @@ use barchan_core::coupling::{
 };
 use barchan_core::gradient::BodyCotangents;
 use barchan_core::plan::TOOL_COUPLING;
-use barchan_core::scene::{INSTANT, Motion, Tool};
+use barchan_core::scene::{INSTANT, Motion};
 use barchan_core::{BodyState, Command, Coupling, Error, NodeBatch, Result, Scene, Surface, Vec3, Wrench};
 use body::{Body, Guided, Mover, State, vector, vector6};
 use glam::{DQuat, DVec3};
@@ -420,11 +420,7 @@ impl Coupling for Rigid {
     }
 
     fn twin(&self) -> Result<Box<dyn Coupling>> {
-        let late = |tool: &&Tool| tool.from > 0.0 || tool.until.is_some();
-        if let Some(tool) = self.scene.tool.iter().find(late) {
-            let what = "gradients do not go through tools that appear or vanish";
-            return Err(Refusal::new(what, "leave out from and until").at(&format!("tool '{}'", tool.name)));
-        }
+        always_there(&self.scene)?;
         let mut twin = Self {
             name: self.name.clone(),
             bodies: self.bodies.clone(),

@@ -266,7 +266,7 @@ def test_what_cannot_be_is_refused_by_name(press):
     with pytest.raises(ValueError, match="seconds"):
         drop().record(0)
     tape = drop().record(0.005)
-    with pytest.raises(TypeError, match="give position, velocity, bodies or then"):
+    with pytest.raises(TypeError, match="give position, velocity, bodies, robots or then"):
         tape.pull_back()
     with pytest.raises(ValueError, match=r"position.*\(\d+, 3\)"):
         tape.pull_back(position=np.zeros((3, 3)))
@@ -278,10 +278,36 @@ def test_what_cannot_be_is_refused_by_name(press):
     assert "5 steps" in repr(tape)
 
 
-@pytest.mark.parametrize("example", [0, 1])
+def test_robots_have_gradients_by_joint():
+    scene = {
+        "name": "fall",
+        "world": {"cell": 0.05, "min": [-1, -1, 0], "max": [1, 1, 2]},
+        "time": {"end": 1.0, "step": 1e-3},
+        "robot": [{"name": "dog", "model": "quadruped", "position": [0, 0, 1], "motor": [{"kp": 50, "kd": 2}]}],
+    }
+    simulation = barchan.Simulation(scene, precision="f64")
+    simulation.act("dog", joint_targets=np.full(12, 0.1))
+    tape = simulation.record(0.02)
+    gradient = tape.pull_back(bodies={"dog": {"velocity": [0, 0, 1]}})
+    # Nothing holds it: all of it falls, whatever its joints do, but its base moves against its legs.
+    assert gradient.gravity[2] == pytest.approx(0.02, abs=1e-6)
+    dog = gradient.robots["dog"]
+    assert dog.positions.shape == dog.targets.shape == dog.kd.shape == (12,)
+    assert np.abs(dog.targets).max() > 1e-4
+    with pytest.raises(ValueError, match="robots: there is no 'cat'; there are: dog"):
+        tape.pull_back(robots={"cat": {"positions": np.zeros(12)}})
+    with pytest.raises(ValueError, match=r"robots: dog: rates: the shape is \[1, 12\]; give a number for each of its 12 joints"):
+        tape.pull_back(robots={"dog": {"rates": np.zeros((1, 12))}})
+    with pytest.raises(ValueError, match="has no derivative by 'torques'"):
+        tape.pull_back(robots={"dog": {"torques": np.zeros(12)}})
+    with pytest.raises(TypeError, match="robots: give a dict by names"):
+        tape.pull_back(robots={"dog": [1.0]})
+
+
+@pytest.mark.parametrize("example", [0, 1, 2])
 def test_the_examples_of_the_documentation_find_what_they_look_for(example):
     text = (Path(__file__).resolve().parents[3] / "docs" / "gradients.md").read_text()
     blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
-    assert len(blocks) == 2
+    assert len(blocks) == 3
     done = subprocess.run([sys.executable, "-W", "error", "-c", blocks[example]], capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr

@@ -29,6 +29,7 @@ use barchan_core::scene::{self, Contact};
 use barchan_core::{NodeBatch, Result, Wrench};
 use glam::{DQuat, DVec3};
 use nalgebra::{DMatrix, DVector};
+use std::ops::Range;
 use std::sync::Arc;
 
 /// Half the length of differences: of places [m, rad], and, relative, of rates, masses and the like.
@@ -481,6 +482,23 @@ impl Robots {
         self.robots.iter().map(|robot| if robot.is_tool { None } else { count.next() }).collect()
     }
 
+    /// See [`Coupling::answer_back`](barchan_core::Coupling::answer_back).
+    pub(super) fn answer_together_back(&self, group: &Range<usize>, systems: &[System]) -> Option<Vec<Twist>> {
+        let (alone, own) = self.parted(self.robots_of(group));
+        let mut all = vec![Twist::default(); systems.len()];
+        for robot in alone {
+            let bodies = self.bodies_of(robot, group.start);
+            all[bodies.clone()].copy_from_slice(&self.robots[robot].answer_back(&systems[bodies])?);
+        }
+        for together in own {
+            let bodies = || together.robots.iter().map(|&robot| self.bodies_of(robot, group.start));
+            let systems: Vec<&[System]> = bodies().map(|own| &systems[own]).collect();
+            let found = together.answer_back(&self.robots, &systems)?;
+            bodies().zip(found).for_each(|(own, found)| all[own].copy_from_slice(&found));
+        }
+        Some(all)
+    }
+
     /// See [`Coupling::advance_back`](barchan_core::Coupling::advance_back).
     pub(super) fn go_back_behind(&mut self, owed: &BodiesOwed<'_>) -> Result<Vec<Twist>> {
         self.behind.clear();
@@ -494,11 +512,6 @@ impl Robots {
             self.behind.push(behind);
         }
         Ok(self.behind.iter().flat_map(|behind| behind.handed.iter().copied()).collect())
-    }
-
-    /// Does a robot's contact know a coefficient of friction?
-    fn rubs(&self, robot: usize) -> bool {
-        matches!(self.contacts[robot], Contact::Coulomb { .. })
     }
 
     /// A step, as robots begin it.
@@ -625,16 +638,9 @@ impl Robots {
                     },
                 }
             }
-            for (body, (owed, found)) in owed.bodies[own.clone()].iter_mut().zip(&found[own.clone()]).enumerate() {
+            for (body, owed) in owed.bodies[own.clone()].iter_mut().enumerate() {
                 let start = if body == 0 { base } else { BodyCotangents::default() };
                 *owed = BodyCotangents { impulse: owed.impulse, ..start };
-                if self.rubs(r) {
-                    told.bodies[own.start].friction += found.friction;
-                }
-            }
-            if self.rubs(r) {
-                let points = parts[r].points.iter().chain(parts[r].pairs.iter().map(|(_, points)| points)).flatten();
-                told.bodies[own.start].friction += points.map(|point| point.friction_of(robot.friction)).sum::<f64>();
             }
             let multiplier = &multipliers[r];
             match robot.guided {
@@ -659,19 +665,31 @@ impl Robots {
                 robot.told_back(multiplier, &parts[r].joints, &mut told.robots[number]);
             }
         }
-        for meetings in &meetings {
-            for (points, meeting) in meetings.points.iter().zip(&meetings.together.meetings) {
-                let both = meeting.links.map(|(robot, _)| meetings.together.robots[robot]);
-                for point in points {
-                    // Of equal ones it is the first one's.
-                    let has = |robot: &&usize| of_grip(&point.touch).1 == self.robots[**robot].friction;
-                    if let Some(&robot) = both.iter().find(has).filter(|robot| self.rubs(**robot)) {
-                        told.bodies[self.bodies_of(robot, 0).start].friction += point.friction;
-                    }
-                }
-            }
+        for (r, friction) in self.friction_back(found, &parts, &meetings).into_iter().enumerate() {
+            let known = matches!(self.contacts[r], Contact::Coulomb { .. });
+            told.bodies[self.bodies_of(r, 0).start].friction += if known { friction } else { 0.0 };
         }
         Ok(of_gravity)
+    }
+
+    /// What is owed to each robot's coefficient of friction, on soft ground and where it is the smaller one of two that touch.
+    fn friction_back(&self, found: &[BodyInStep], parts: &[Part<'_>], meetings: &[Meetings<'_>]) -> Vec<f64> {
+        let of_robot = |(r, part): (usize, &Part<'_>)| {
+            let points = part.points.iter().chain(part.pairs.iter().map(|(_, points)| points)).flatten();
+            let rigid = points.map(|point| point.friction_of(self.robots[r].friction)).sum::<f64>();
+            rigid + found[self.bodies_of(r, 0)].iter().map(|body| body.friction).sum::<f64>()
+        };
+        let mut all: Vec<f64> = parts.iter().enumerate().map(of_robot).collect();
+        for Meetings { together, points, .. } in meetings {
+            for (points, meeting) in points.iter().zip(&together.meetings) {
+                let both = meeting.links.map(|(robot, _)| together.robots[robot]);
+                // Of equal ones it is the first one's.
+                let first_is_smoother = self.robots[both[0]].friction <= self.robots[both[1]].friction;
+                let smoother = if first_is_smoother { both[0] } else { both[1] };
+                all[smoother] += points.iter().map(|point| point.friction).sum::<f64>();
+            }
+        }
+        all
     }
 
     /// See [`Coupling::see_back`](barchan_core::Coupling::see_back): what is owed to tools that are told how to move, by what robots feel of them.

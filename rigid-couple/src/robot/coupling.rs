@@ -16,7 +16,7 @@ use crate::motion::{Pose, rotation_from};
 use crate::rigid::body::Guided;
 use crate::rigid::{rounded, thin};
 use crate::world::friction_of;
-use crate::{Refusal, Sdf, is_within_reach, sdf};
+use crate::{Refusal, Sdf, always_there, is_within_reach, sdf};
 use barchan_core::contact::adjoint::{BodyInStep, GripCotangent, NearCotangents};
 use barchan_core::contact::{Reaction, System, Touch, Twist};
 use barchan_core::coupling::{Aabb, BodiesOwed, BodiesTold, DeviceLaw, Group, GroupState, GroupStep, Leashes, Moved};
@@ -307,7 +307,7 @@ impl Robots {
     }
 
     /// The robots of some bodies, which are all of theirs.
-    fn robots_of(&self, bodies: &Range<usize>) -> Range<usize> {
+    pub(super) fn robots_of(&self, bodies: &Range<usize>) -> Range<usize> {
         self.of(bodies.start).0..self.of(bodies.end - 1).0 + 1
     }
 
@@ -530,11 +530,7 @@ impl Coupling for Robots {
     }
 
     fn twin(&self) -> Result<Box<dyn Coupling>> {
-        let late = |tool: &&scene::Tool| tool.from > 0.0 || tool.until.is_some();
-        if let Some(tool) = self.scene.tool.iter().find(late) {
-            let what = "gradients do not go through tools that appear or vanish";
-            return Err(Refusal::new(what, "leave out from and until").at(&format!("tool '{}'", tool.name)));
-        }
+        always_there(&self.scene)?;
         let mut twin = Self::new(&self.scene)?.called(&self.name);
         twin.restore(&self.save()).map_err(|what| Refusal::new(what, "record again").at("robot"))?;
         Ok(Box::new(twin))
@@ -558,19 +554,7 @@ impl Coupling for Robots {
     }
 
     fn answer_back(&self, group: Range<usize>, systems: &[System]) -> Option<Vec<Twist>> {
-        let (alone, own) = self.parted(self.robots_of(&group));
-        let mut all = vec![Twist::default(); systems.len()];
-        for robot in alone {
-            let bodies = self.bodies_of(robot, group.start);
-            all[bodies.clone()].copy_from_slice(&self.robots[robot].answer_back(&systems[bodies])?);
-        }
-        for together in own {
-            let bodies = || together.robots.iter().map(|&robot| self.bodies_of(robot, group.start));
-            let systems: Vec<&[System]> = bodies().map(|own| &systems[own]).collect();
-            let found = together.answer_back(&self.robots, &systems)?;
-            bodies().zip(found).for_each(|(own, found)| all[own].copy_from_slice(&found));
-        }
-        Some(all)
+        self.answer_together_back(&group, systems)
     }
 
     fn advance_back(&mut self, _: f64, owed: &mut BodiesOwed<'_>) -> Result<Vec<Twist>> {

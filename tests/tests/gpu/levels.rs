@@ -6,7 +6,7 @@ use barchan::worlds::Worlds;
 use barchan::{Command, Ledger, Options, Precision, Simulation, Vec3};
 use barchan_tests::long_cases::{FURROW_CELL, furrow_depth, furrow_scene};
 use barchan_tests::scenes::{Noise, Row, alter, change_of_linear_field, norm, rows, scene, within};
-use barchan_tests::sketch::{Head, block, driven, half, material, tool};
+use barchan_tests::sketch::{Head, block, body, driven, half, material, tool};
 
 /// Sand that a blade throws out of an open side, on two levels which follow the blade: none is lost from the account while particles split, merge
 /// and leave; with steps for all levels and of their own, driven and beside a free cube.
@@ -52,6 +52,35 @@ pub(super) fn cut(count: u32, sampling: &str) -> String {
         block("neo_hookean", [-0.2; 3], [0.8; 3], &format!("sampling = \"{sampling}\"")),
         around_marker(count, 8, [0.2 - 8.0 * h, -0.2 - 3.0 * h, 0.3 - 8.0 * h]),
     ])
+}
+
+/// Symptom guarded against: rims that take the mean affine matrix of particles where these were sorted, and not where they are. Balls that each spin their own way fly through a rim,
+/// before any is sorted again: velocities are those of the CPU.
+#[test]
+fn balls_that_spin_fly_through_a_rim_as_on_the_cpu() {
+    let h = 0.02;
+    let mut noise = Noise::new(3);
+    let mut ball = |n: u32| {
+        let [x, y, z] = [n / 9, n / 3 % 3, n % 3].map(f64::from);
+        let center: Vec3 = [(14.3, x), (6.3, y), (6.2, z)].map(|(from, k)| h * (from + 1.05 * k));
+        let spin: Vec3 = std::array::from_fn(|_| 60.0 * noise.draw());
+        let moves = format!("spacing = 0.0068\nvelocity = [5.0, 0.0, 0.0]\nangular_velocity = {spin:?}");
+        body("fixed_corotated", &format!("sphere = {{ center = {center:?}, radius = 0.0103 }}"), &moves)
+    };
+    let mut parts = vec![
+        "[levels]\ncount = 2\nhalf = 8\nbox = [{ min = [0.08, 0.08, 0.08], max = [0.24, 0.24, 0.24] }]\n".to_owned(),
+        material("fixed_corotated", 1600.0, "young_modulus = 1.0"),
+    ];
+    parts.extend((0..36).map(&mut ball));
+    let text = Head { gravity: [0.0; 3], ..Head::cells(h, [24; 3], "") }.time("step = 2e-4").with(&parts);
+    let [host, device] = [cpu(&text), gpu(&text)].map(|mut sim| {
+        take(&mut sim, 8);
+        rows(&sim)
+    });
+    let through = host.iter().filter(|row| row.x[0] > 18.0 * h).count();
+    assert!(through > 20 && host.len() == device.len(), "{through} of {} are through", host.len());
+    let most = host.iter().zip(&device).map(|(a, b)| off(a.v, b.v)).fold(0.0, f64::max);
+    within("velocities", most, 2e-5);
 }
 
 /// Symptom guarded against: a rim whose restriction, affine term or prolongation is off. Physics: v = a + B x with C = B on particles at
