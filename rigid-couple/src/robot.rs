@@ -192,11 +192,23 @@ impl Robot {
 
     /// The rates that give the bodies these twists, as near as they can.
     pub(crate) fn rates(&self, twists: &[Twist]) -> DVector<f64> {
+        self.step.squares.solve(&self.sums(twists.iter().copied()))
+    }
+
+    /// Σ Jᵀ of what its bodies have each.
+    pub(crate) fn sums(&self, of_bodies: impl Iterator<Item = Twist>) -> DVector<f64> {
         let mut sums = DVector::zeros(self.state.rates.len());
-        for (&link, twist) in self.solids.iter().zip(twists) {
-            self.step.places[link].add_wrench(twist.linear, twist.angular, &mut sums);
+        for (&link, Twist { linear, angular }) in self.solids.iter().zip(of_bodies) {
+            self.step.places[link].add_wrench(linear, angular, &mut sums);
         }
-        self.step.squares.solve(&sums)
+        sums
+    }
+
+    /// Adds what soft ground gives its bodies, and by how much that falls.
+    pub(crate) fn add_systems(&self, systems: &[System], residual: &mut DVector<f64>, matrix: &mut DMatrix<f64>) {
+        for (&link, system) in self.solids.iter().zip(systems) {
+            add_system(&self.step.places[link], system, residual, matrix);
+        }
     }
 
     fn joint(&self, drive: usize) -> Joint<'_> {
@@ -326,9 +338,7 @@ impl Robot {
         residual -= self.own_impulses(&self.step.rates, 1.0, false).residual;
         residual += &self.step.mass * (&self.step.rates - rates);
         matrix += &self.step.mass;
-        for (&link, system) in self.solids.iter().zip(systems) {
-            add_system(&self.step.places[link], system, &mut residual, &mut matrix);
-        }
+        self.add_systems(systems, &mut residual, &mut matrix);
         Balance { residual, matrix }
     }
 

@@ -32,7 +32,7 @@ pub struct Cotangents {
     pub lags: bool,
     /// By tools and other bodies of couplings, in the scene's order; empty if nothing is owed to them.
     pub bodies: Vec<BodyCotangents>,
-    /// By robots' joints, in the scene's order; empty if nothing is owed to them.
+    /// By robots' joints, in the scene's order; empty if nothing is owed to them, as each one's numbers may be.
     pub robots: Vec<RobotCotangents>,
 }
 
@@ -100,6 +100,13 @@ pub struct BodyGradient {
     pub mass: f64,
     /// By the whole force of its servo [1/N], with the mass that follows it where the scene gives none.
     pub force: f64,
+}
+
+impl RobotCotangents {
+    /// Of a loss that owes nothing to so many joints.
+    pub fn zero(joints: usize) -> Self {
+        Self { positions: vec![0.0; joints], rates: vec![0.0; joints], energy: 0.0 }
+    }
 }
 
 impl Cotangents {
@@ -476,6 +483,10 @@ impl Tape {
         };
         gradient.particles.bodies.resize_with(count, BodyCotangents::default);
         gradient.particles.robots.resize_with(joints.len(), RobotCotangents::default);
+        for (owed, robot) in gradient.particles.robots.iter_mut().zip(joints) {
+            owed.positions.resize(robot.positions.len(), 0.0);
+            owed.rates.resize(robot.rates.len(), 0.0);
+        }
         let mut couplings = self.couplings.lock().unwrap_or_else(PoisonError::into_inner);
         let couplings = &mut couplings[..];
         for (coupling, bytes) in couplings.iter_mut().zip(&self.coupled) {

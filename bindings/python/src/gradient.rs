@@ -65,14 +65,19 @@ fn named_dicts<'py>(given: &Bound<'py, PyAny>, what: &str) -> PyResult<Vec<(Stri
     given.iter().map(one).collect()
 }
 
+/// The number of what is called so among those that there are.
+fn number_of<'a>(names: impl Iterator<Item = &'a str>, name: &str, what: &str) -> PyResult<usize> {
+    let known: Vec<&str> = names.collect();
+    known.iter().position(|one| *one == name).ok_or_else(|| {
+        let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
+        PyValueError::new_err(format!("{what}: there is no '{name}'; there are: {known}"))
+    })
+}
+
 /// What a loss owes to bodies, by their names: a dict for each, of three numbers by what it is by.
 fn of_bodies(given: &Bound<'_, PyAny>, end: &Moment, to: &mut [BodyCotangents]) -> PyResult<()> {
     for (name, owed) in named_dicts(given, "bodies")? {
-        let Some(number) = end.bodies.iter().position(|body| body.name == name) else {
-            let known: Vec<&str> = end.bodies.iter().map(|body| body.name.as_str()).collect();
-            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-            return Err(PyValueError::new_err(format!("bodies: there is no '{name}'; there are: {known}")));
-        };
+        let number = number_of(end.bodies.iter().map(|body| body.name.as_str()), &name, "bodies")?;
         let to = &mut to[number];
         for (what, numbers) in owed {
             let what: String = what.extract()?;
@@ -100,11 +105,7 @@ fn of_bodies(given: &Bound<'_, PyAny>, end: &Moment, to: &mut [BodyCotangents]) 
 /// What a loss owes to robots' joints, by the robots' names: a dict for each, of a number for each joint.
 fn of_robots(given: &Bound<'_, PyAny>, end: &Moment, to: &mut [RobotCotangents]) -> PyResult<()> {
     for (name, owed) in named_dicts(given, "robots")? {
-        let Some(number) = end.robots.iter().position(|robot| robot.name == name) else {
-            let known: Vec<&str> = end.robots.iter().map(|robot| robot.name.as_str()).collect();
-            let known = if known.is_empty() { "none".to_owned() } else { known.join(", ") };
-            return Err(PyValueError::new_err(format!("robots: there is no '{name}'; there are: {known}")));
-        };
+        let number = number_of(end.robots.iter().map(|robot| robot.name.as_str()), &name, "robots")?;
         let (to, joints) = (&mut to[number], end.robots[number].positions.len());
         for (what, numbers) in owed {
             let what: String = what.extract()?;

@@ -27,7 +27,7 @@ use barchan_core::coupling::{BodiesOwed, BodiesTold};
 use barchan_core::gradient::{BodyCotangents, PoseCotangent, RobotCotangents, RobotGradient};
 use barchan_core::scene::{self, Contact};
 use barchan_core::{NodeBatch, Result, Wrench};
-use glam::{DQuat, DVec3};
+use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
 use std::ops::Range;
 use std::sync::Arc;
@@ -112,7 +112,6 @@ impl OfPoint {
                 return None;
             }
             let mut near = NearCotangents::of(vec![[0.0; 3]], &alone);
-            near.mass = vec![0.0];
             let mut body = BodyInStep::default();
             let grips = drive_back(&[Touch { node: 0, ..*touch }], &alone, &twist, &owed, &mut near, &mut body);
             Some(Self {
@@ -212,22 +211,11 @@ impl Robot {
         self.own_impulses(&self.step.rates, 1.0, true).matrix + &self.step.mass
     }
 
-    /// Sums of what is owed to bodies' twists, for rates.
-    fn rates_of(&self, twists: impl Iterator<Item = Twist>) -> DVector<f64> {
-        let mut sums = DVector::zeros(self.step.rates.len());
-        for (&link, Twist { linear, angular }) in self.solids.iter().zip(twists) {
-            self.step.places[link].add_wrench(linear, angular, &mut sums);
-        }
-        sums
-    }
-
     /// The adjoint of [`answer`](Self::answer).
     pub(super) fn answer_back(&self, systems: &[System]) -> Option<Vec<Twist>> {
         let mut matrix = self.slopes().transpose();
         let mut owed = DVector::zeros(matrix.nrows());
-        for (&link, system) in self.solids.iter().zip(systems) {
-            super::solve::add_system(&self.step.places[link], system, &mut owed, &mut matrix);
-        }
+        self.add_systems(systems, &mut owed, &mut matrix);
         Some(self.twists(&solved(matrix, owed)?))
     }
 
@@ -299,9 +287,9 @@ impl Robot {
         match number {
             Number::Place(axis) => self.state.base.position[axis] += by,
             Number::Turn(axis) => {
-                let turn = DQuat::from_scaled_axis(by * DVec3::AXES[axis]);
                 let base = &mut self.state.base;
-                let turned = (turn * base.rotation).normalize();
+                let about = Twist { linear: DVec3::ZERO, angular: DVec3::AXES[axis] };
+                let turned = base.advanced(&about, by).rotation;
                 if self.guided.is_some() {
                     // The guide does not turn with the tool.
                     let joint = &mut Arc::make_mut(&mut self.model).links[self.solids[0]].joint;
@@ -504,9 +492,7 @@ impl Robots {
         self.behind.clear();
         for (robot, number) in self.without_tools().into_iter().enumerate() {
             let drives = self.robots[robot].model.drives.len();
-            let mut joints = number.map_or_else(RobotCotangents::default, |number| owed.robots[number].clone());
-            joints.positions.resize(drives, 0.0);
-            joints.rates.resize(drives, 0.0);
+            let joints = number.map_or_else(|| RobotCotangents::zero(drives), |number| owed.robots[number].clone());
             let bodies = &owed.bodies[self.bodies_of(robot, 0)];
             let behind = self.robots[robot].advance_back(bodies, joints).ok_or_else(|| self.rough(robot))?;
             self.behind.push(behind);
@@ -528,7 +514,7 @@ impl Robots {
     /// λ of each robot, from what is owed to the twists of all bodies.
     fn multipliers(&self, found: &[BodyInStep]) -> Result<Vec<DVector<f64>>> {
         let twists = |robot: usize| found[self.bodies_of(robot, 0)].iter().map(|body| body.twist);
-        let owed: Vec<_> = self.robots.iter().enumerate().map(|(r, robot)| robot.rates_of(twists(r))).collect();
+        let owed: Vec<_> = self.robots.iter().enumerate().map(|(r, robot)| robot.sums(twists(r))).collect();
         let mut all = owed.clone();
         let (alone, own) = self.parted(0..self.robots.len());
         for robot in alone {
@@ -615,9 +601,7 @@ impl Robots {
             };
             let mut base = BodyCotangents::default();
             let PoseCotangent { position, rotation } = &mut base.pose;
-            let (mut joints, drives) = (RobotCotangents::default(), robot.model.drives.len());
-            joints.positions.resize(drives, 0.0);
-            joints.rates.resize(drives, 0.0);
+            let mut joints = RobotCotangents::zero(robot.model.drives.len());
             let mut of_mass = 0.0;
             for number in robot.numbers() {
                 let found = slope(number)?;

@@ -531,9 +531,20 @@ impl Coupling for Robots {
 
     fn twin(&self) -> Result<Box<dyn Coupling>> {
         always_there(&self.scene)?;
-        let mut twin = Self::new(&self.scene)?.called(&self.name);
-        twin.restore(&self.save()).map_err(|what| Refusal::new(what, "record again").at("robot"))?;
-        Ok(Box::new(twin))
+        Ok(Box::new(Self {
+            name: self.name.clone(),
+            scene: self.scene.clone(),
+            robots: self.robots.clone(),
+            tools: self.tools.clone(),
+            together: Vec::new(),
+            contacts: self.contacts.clone(),
+            firsts: self.firsts.clone(),
+            followed: self.followed.clone(),
+            wrenches: self.wrenches.clone(),
+            moved: Moved::ByCoupling,
+            behind: Vec::new(),
+            ..*self
+        }))
     }
 
     fn touch_back(

@@ -146,12 +146,15 @@ impl Obstacle {
 
     /// Changes a number of its pose, or of how it moves: along each axis, then about each.
     pub(super) fn vary(&mut self, number: usize, by: f64) {
-        let axis = DVec3::AXES[number % 3];
-        match number / 3 {
-            0 => self.pose.position += by * axis,
-            1 => self.pose.rotation = (DQuat::from_scaled_axis(by * axis) * self.pose.rotation).normalize(),
-            2 => self.twist.linear += by * axis,
-            _ => self.twist.angular += by * axis,
+        let (axis, zero) = (DVec3::AXES[number % 3], DVec3::ZERO);
+        let way = match number / 3 % 2 {
+            0 => Twist { linear: axis, angular: zero },
+            _ => Twist { linear: zero, angular: axis },
+        };
+        if number < 6 {
+            self.pose = self.pose.advanced(&way, by);
+        } else {
+            self.twist = self.twist.plus(by, &way);
         }
     }
 
@@ -167,7 +170,7 @@ impl Obstacle {
 
     /// What it is called.
     pub(super) fn title(&self) -> String {
-        self.tool.as_ref().map_or("a wall of the world".to_owned(), |driven| format!("'{}'", driven.tool.name))
+        self.tool().map_or("a wall of the world".to_owned(), |tool| format!("'{}'", tool.name))
     }
 
     /// Does a body at `pose`, in such a box, overlap it or one of its images at the start by more than [`SUNK`]?
@@ -177,7 +180,7 @@ impl Obstacle {
     }
 
     pub(super) fn is_present(&self, time: f64) -> bool {
-        self.tool.as_ref().is_none_or(|driven| driven.tool.is_present(time))
+        self.tool().is_none_or(|tool| tool.is_present(time))
     }
 
     /// How far its surface comes in a step of `dt` [s] at most [m].
