@@ -14,20 +14,22 @@ mod away;
 mod clusters;
 mod copied;
 mod nearby;
+mod parcel;
+pub mod replay;
 
 pub use copied::CopiedLevel;
+pub use parcel::Parcel;
 
 use crate::bounds::Bounds;
-use crate::particles::{MASS, MOTION, STRAIN, VOLUME};
-use crate::resample::{CHILDREN, Change, Particle, Planes, Refusal, merge, split};
-use crate::transfer::MAX_STATE;
+use crate::resample::{CHILDREN, Change, Particle, Refusal, merge, split};
 use barchan_core::levels::{Agent, MERGE_BEHIND, MERGE_LEFT, SPLIT_AHEAD};
 use barchan_core::plan::Precision;
-use barchan_core::{Aabb, Coupling, Error, Ledger, LevelPhase, ParticleList, Plan, Regions, Result};
+use barchan_core::{Aabb, Coupling, Error, Ledger, LevelChange, LevelPhase, ParticleList, Plan, Regions, Result};
 use barchan_lanes::Isa;
 use clusters::{Binned, Candidate, Loose, NEIGHBOURHOOD, Near, PORTION};
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::Vector3;
 use nearby::{Nearby, Surface};
+use parcel::{Material, coarsened, finest_cell, moved};
 use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 
@@ -43,65 +45,6 @@ const AROUND_TOOL: f64 = 2.0;
 pub(crate) const IDS: u64 = u32::MAX as u64;
 /// What to do where splits have used them up.
 const FEWER_SPLITS: &str = "use fewer levels or agents that move less: each split takes seven new numbers";
-
-/// One particle outside of any list, on its way to another place or level. It holds numbers of the run's precision
-/// exactly.
-#[derive(Clone, Debug)]
-pub struct Parcel {
-    /// Index of the list within the level.
-    pub list: usize,
-    /// Its number.
-    pub id: u32,
-    /// Index of its body in the scene.
-    pub body: u16,
-    /// Integer cell on its level.
-    pub cell: [i32; 3],
-    /// Position in the cell, in cells, [0, 1).
-    pub offset: [f64; 3],
-    /// Velocity [m/s] and affine matrix [1/s].
-    pub motion: [f64; MOTION],
-    /// Mass [kg], rest volume [m³], strain, history.
-    pub rest: [f64; STRAIN + 9 + MAX_STATE],
-}
-
-impl Parcel {
-    /// A copy of one particle of a list.
-    pub fn of(list: &ParticleList, i: usize) -> Self {
-        let (v, c) = (list.velocity[i], list.affine[i]);
-        let mut parcel = Self {
-            list: list.material as usize,
-            id: list.id[i] as u32,
-            body: list.body[i],
-            cell: list.cell[i],
-            offset: list.offset[i],
-            motion: std::array::from_fn(|p| if p < 3 { v[p] } else { c[p - 3] }),
-            rest: [0.0; STRAIN + 9 + MAX_STATE],
-        };
-        let planes = [&list.mass, &list.volume0].into_iter().chain(&list.strain).chain(&list.state);
-        for (value, plane) in parcel.rest.iter_mut().zip(planes) {
-            *value = plane[i];
-        }
-        parcel
-    }
-
-    /// Adds particles to a list of their material, plane by plane.
-    pub fn add_all(parcels: &[&Self], list: &mut ParticleList) {
-        rayon::scope(|scope| {
-            let ParticleList { id, body, cell, offset, velocity, affine, mass, volume0, strain, state, .. } = list;
-            let all = || parcels.iter();
-            scope.spawn(move |_| id.extend(all().map(|parcel| u64::from(parcel.id))));
-            scope.spawn(move |_| body.extend(all().map(|parcel| parcel.body)));
-            scope.spawn(move |_| cell.extend(all().map(|parcel| parcel.cell)));
-            scope.spawn(move |_| offset.extend(all().map(|parcel| parcel.offset)));
-            scope.spawn(move |_| velocity.extend(all().map(|parcel| [0, 1, 2].map(|d| parcel.motion[d]))));
-            let affine_of = |parcel: &&Self| std::array::from_fn(|p| parcel.motion[3 + p]);
-            scope.spawn(move |_| affine.extend(all().map(affine_of)));
-            for (k, plane) in [mass, volume0].into_iter().chain(strain).chain(state).enumerate() {
-                scope.spawn(move |_| plane.extend(all().map(|parcel| parcel.rest[k])));
-            }
-        });
-    }
-}
 
 /// Access to the particles of one level for split and merge: lists by material, in groups that are the same for all
 /// lists. The order of groups and of places decides the numbers of children and the last bits of results.
@@ -153,6 +96,8 @@ pub struct Adapt {
     rounds: u64,
     tried: u64,
     resampled: Resampled,
+    /// What particles have gone through since that was asked for.
+    changes: Vec<LevelChange>,
     /// Cell width of each level [m], and where the world ends there.
     widths: Vec<f64>,
     bounds: Vec<Bounds>,
@@ -164,20 +109,6 @@ pub struct Adapt {
     tolerance: f64,
     precision: Precision,
     isa: Isa,
-}
-
-/// A material's planes.
-#[derive(Clone)]
-struct Material {
-    strain: usize,
-    /// `BARCHAN_MERGE_*` rule of each history variable.
-    rules: Vec<u32>,
-}
-
-impl Material {
-    fn planes(&self) -> Planes<'_> {
-        Planes { is_gradient: self.strain == 9, merge: &self.rules }
-    }
 }
 
 /// What splits and merges have done since the start.
@@ -254,15 +185,17 @@ struct Family {
     parcels: Vec<(usize, Parcel)>,
     /// Which of the new numbers each gets; `None`: its parent's.
     children: Vec<Option<u32>>,
-    splits: u64,
+    /// Each split: by the same numbers, who and into whom, and how far these are from its middle.
+    splits: Vec<(Option<u32>, [Option<u32>; CHILDREN], f64)>,
 }
 
 /// A merged particle with the level where it belongs, and what that cost.
 struct Merged {
     parcel: (usize, Parcel),
     change: Change,
-    /// Whose place it takes, by their numbers among the candidates.
+    /// Whose place it takes, by their numbers among the candidates, and by their own.
     members: Vec<usize>,
+    ids: Vec<u32>,
     /// Where it is, and how far from tools it has to be [m].
     x: [f64; 3],
     clearance: f64,
@@ -294,10 +227,6 @@ impl Adapt {
     /// The levels of a plan at the start.
     pub fn new(plan: &Plan) -> Self {
         let scene = &plan.scene;
-        let material = |planned: &barchan_core::plan::PlannedMaterial| Material {
-            strain: planned.material.strain_planes(),
-            rules: planned.material.states.iter().map(|state| state.merge).collect(),
-        };
         Self {
             regions: plan.regions.clone(),
             next_id: 0,
@@ -305,10 +234,11 @@ impl Adapt {
             rounds: 0,
             tried: 0,
             resampled: Resampled::default(),
+            changes: Vec::new(),
             widths: plan.cell_widths.clone(),
             bounds: (0..plan.cell_widths.len()).map(|level| Bounds::new(plan, level)).collect(),
             finest_volume: finest_volumes(plan),
-            materials: plan.materials.iter().map(material).collect(),
+            materials: plan.materials.iter().map(Material::of).collect(),
             gravity: scene.gravity.iter().map(|g| g * g).sum::<f64>().sqrt(),
             tolerance: scene.levels.tolerance,
             precision: plan.precision,
@@ -344,6 +274,31 @@ impl Adapt {
     pub fn count_merged(&mut self, [merged, merges]: [u64; 2]) {
         self.resampled.merged += merged;
         self.resampled.merges += merges;
+    }
+
+    /// Takes note of particles that go out of reach.
+    pub(crate) fn leave<'a>(&mut self, ids: impl Iterator<Item = &'a u64>) {
+        self.changes.extend(ids.map(|id| LevelChange::Leave { id: *id as u32 }));
+    }
+
+    /// Takes note of particles that come within reach, each with its level.
+    pub(crate) fn come(&mut self, parcels: &[(usize, Parcel)]) {
+        for (level, width) in self.widths.iter().enumerate() {
+            for (m, material) in self.materials.iter().enumerate() {
+                let own = parcels.iter().filter(|(to, parcel)| *to == level && parcel.list == m);
+                let own: Vec<&Parcel> = own.map(|(_, parcel)| parcel).collect();
+                if !own.is_empty() {
+                    let mut list = ParticleList::empty(level, m, *width, material.strain, material.rules.len());
+                    Parcel::add_all(&own, &mut list);
+                    self.changes.push(LevelChange::Come(Box::new(list)));
+                }
+            }
+        }
+    }
+
+    /// What particles have gone through since this was asked for last.
+    pub fn take_changes(&mut self) -> Vec<LevelChange> {
+        std::mem::take(&mut self.changes)
     }
 
     /// Adds what splits and merges have done since the start to the ledger.
@@ -424,6 +379,7 @@ impl Adapt {
         self.resampled.moves += (moved.len() + left.len()) as u64;
         self.resampled.merges += merged.len() as u64;
         for one in &merged {
+            self.changes.push(LevelChange::Merge { members: one.ids.clone() });
             self.resampled.merged += one.members.len() as u64;
             self.resampled.kinetic += one.change.kinetic;
             self.resampled.angular += one.change.angular;
@@ -437,6 +393,8 @@ impl Adapt {
         };
         let mut come: Vec<_> = come.map(|one| (key(one), &one.1)).collect();
         come.par_sort_unstable_by_key(|(key, _)| *key);
+        let settled = come.iter().map(|(key, parcel)| LevelChange::Move { id: parcel.id, to: (key >> 56) as u32 });
+        self.changes.extend(settled);
         let gone = [splitting, moving, gone, unmerged];
         let exchange = |(l, level): (usize, &mut &mut S)| {
             let mut changed = false;
@@ -520,41 +478,9 @@ impl Adapt {
         (to, moved(parcel, from, to))
     }
 
-    /// A particle with its position relative to a cell of its level, of width `h` [m].
-    fn particle(&self, parcel: &Parcel, origin: [i32; 3], h: f64) -> Particle {
-        let Material { strain: planes, rules } = &self.materials[parcel.list];
-        let mut particle = Particle {
-            x: Vector3::from_fn(|d, _| (f64::from(parcel.cell[d] - origin[d]) + parcel.offset[d]) * h),
-            v: Vector3::from_column_slice(&parcel.motion[..3]),
-            c: Matrix3::from_row_slice(&parcel.motion[3..]),
-            mass: parcel.rest[MASS],
-            volume0: parcel.rest[VOLUME],
-            strain: [0.0; 9],
-            state: [0.0; MAX_STATE],
-        };
-        particle.strain[..*planes].copy_from_slice(&parcel.rest[STRAIN..][..*planes]);
-        particle.state[..rules.len()].copy_from_slice(&parcel.rest[STRAIN + planes..][..rules.len()]);
-        particle
-    }
-
-    /// The other way round: the particle on the level where it belongs, with the number and body of another.
+    /// A parcel of a particle on the level where it belongs, with the number and body of another.
     fn parcel_of(&self, p: &Particle, origin: [i32; 3], from: usize, like: &Parcel) -> (usize, Parcel) {
-        let Material { strain: planes, rules } = &self.materials[like.list];
-        let mut parcel = like.clone();
-        for d in 0..3 {
-            let along = p.x[d] / self.widths[from];
-            parcel.cell[d] = origin[d] + along.floor() as i32;
-            parcel.offset[d] = along - along.floor();
-            parcel.motion[d] = p.v[d];
-            for e in 0..3 {
-                parcel.motion[3 + 3 * d + e] = p.c[(d, e)];
-            }
-        }
-        parcel.rest[MASS] = p.mass;
-        parcel.rest[VOLUME] = p.volume0;
-        parcel.rest[STRAIN..][..*planes].copy_from_slice(&p.strain[..*planes]);
-        parcel.rest[STRAIN + planes..][..rules.len()].copy_from_slice(&p.state[..rules.len()]);
-        self.settled(parcel, from)
+        self.settled(self.materials[like.list].parcel(p, origin, self.widths[from], like), from)
     }
 
     /// Splits particles. The children have no numbers yet.
@@ -578,10 +504,19 @@ impl Adapt {
     fn number(&mut self, families: &mut [Family]) -> Result<()> {
         families.par_sort_unstable_by_key(|family| family.parcels.first().map(|(_, parent)| parent.id));
         for family in families {
-            self.resampled.splits += family.splits;
-            let first = self.new_ids(family.splits * (CHILDREN as u64 - 1), 0, FEWER_SPLITS)?;
+            let splits = family.splits.len() as u64;
+            self.resampled.splits += splits;
+            let first = self.new_ids(splits * (CHILDREN as u64 - 1), 0, FEWER_SPLITS)?;
+            let parent = family.parcels.first().map_or(first, |(_, parent)| parent.id);
+            let number = |child: Option<u32>| child.map_or(parent, |child| first + child);
+            let changes = family.splits.iter();
+            self.changes.extend(changes.map(|&(one, children, scale)| LevelChange::Split {
+                id: number(one),
+                children: children.map(number),
+                scale,
+            }));
             for (child, (_, parcel)) in family.children.iter().zip(&mut family.parcels) {
-                parcel.id = child.map_or(parcel.id, |child| first + child);
+                parcel.id = number(*child);
             }
         }
         Ok(())
@@ -600,9 +535,9 @@ impl Adapt {
         let planes = self.materials[one.list].planes();
         let origin = parcel.cell;
         let corner: [f64; 3] = origin.map(|c| f64::from(c) * h);
-        let mut family = Family { parcels: Vec::new(), children: Vec::new(), splits: 0 };
+        let mut family = Family { parcels: Vec::new(), children: Vec::new(), splits: Vec::new() };
         let mut children = 0;
-        let mut open = vec![(self.particle(&parcel, origin, h), one.class, None)];
+        let mut open = vec![(self.materials[one.list].particle(&parcel, origin, h), one.class, None)];
         while let Some((particle, class, child)) = open.pop() {
             let at: [f64; 3] = std::array::from_fn(|d| particle.x[d] / h);
             let cell: [i32; 3] = std::array::from_fn(|d| origin[d] + at[d].floor() as i32);
@@ -612,19 +547,19 @@ impl Adapt {
                 family.children.push(child);
                 continue;
             }
-            family.splits += 1;
-            let mut tries = (0..5).map(|tries| split(&particle, planes, 0.5_f64.powi(tries)));
-            let parts = loop {
-                let Some(parts) = tries.next() else { break split(&particle, planes, f64::MIN_POSITIVE) };
-                if is_clear(&parts.map(|part| std::array::from_fn(|d| corner[d] + part.x[d]))) {
-                    break parts;
+            let mut tries = (0..5).map(|tries| 0.5_f64.powi(tries));
+            let (scale, parts) = loop {
+                let scale = tries.next();
+                let parts = split(&particle, planes, scale.unwrap_or(f64::MIN_POSITIVE));
+                if scale.is_none() || is_clear(&parts.map(|part| std::array::from_fn(|d| corner[d] + part.x[d]))) {
+                    break (scale.unwrap_or(f64::MIN_POSITIVE), parts);
                 }
             };
-            for (k, part) in parts.into_iter().enumerate() {
-                let number = if k == 0 { child } else { Some(children) };
-                children += u32::from(k > 0);
-                open.push((part, class - 1, number));
-            }
+            let numbers: [_; CHILDREN] =
+                std::array::from_fn(|k| if k == 0 { child } else { Some(children + k as u32 - 1) });
+            children += CHILDREN as u32 - 1;
+            family.splits.push((child, numbers, scale));
+            open.extend(parts.into_iter().zip(numbers).map(|(part, number)| (part, class - 1, number)));
         }
         family
     }
@@ -772,18 +707,13 @@ impl Adapt {
         let h = self.widths[level];
         let parcels: Vec<Parcel> = members()
             .map(|Candidate { found: one, .. }| {
-                let mut parcel = levels[one.level].parcel(one.list, one.place);
-                for d in 0..3 {
-                    let within = f64::from(parcel.cell[d] & ((1 << (level - one.level)) - 1)) + parcel.offset[d];
-                    parcel.cell[d] >>= level - one.level;
-                    parcel.offset[d] = within / f64::from(1 << (level - one.level));
-                }
-                parcel
+                coarsened(levels[one.level].parcel(one.list, one.place), one.level, level)
             })
             .collect();
         let origin = parcels[0].cell;
-        let particles: Vec<Particle> = parcels.iter().map(|parcel| self.particle(parcel, origin, h)).collect();
-        let planes = self.materials[parcels[0].list].planes();
+        let material = &self.materials[parcels[0].list];
+        let particles: Vec<Particle> = parcels.iter().map(|parcel| material.particle(parcel, origin, h)).collect();
+        let planes = material.planes();
         let near_surface = members().any(|one| one.at_surface);
         let (one, change) = match merge(&particles, planes, self.gravity, self.tolerance, near_surface) {
             Ok(merged) => merged,
@@ -795,7 +725,8 @@ impl Adapt {
         let parcel = self.parcel_of(&one, origin, level, &like);
         // Angular momentum about the world's origin: the particles' own change, since momentum and centre stay.
         let members = bin.iter().map(|binned| binned.i as usize).collect();
-        Some(Ok(Merged { parcel, change, members, x, clearance: AROUND_TOOL * side }))
+        let ids = parcels.iter().map(|parcel| parcel.id).collect();
+        Some(Ok(Merged { parcel, change, members, ids, x, clearance: AROUND_TOOL * side }))
     }
 }
 
@@ -836,27 +767,6 @@ pub fn around_cells(cells: impl Iterator<Item = ([i32; 3], f64)>) -> Option<Aabb
     let boxes =
         cells.map(|(cell, h)| Aabb { min: cell.map(|c| f64::from(c) * h), max: cell.map(|c| f64::from(c + 1) * h) });
     boxes.reduce(|all, here| all.union(&here))
-}
-
-/// A parcel with coordinates of level `from` in those of level `to`.
-fn moved(mut parcel: Parcel, from: usize, to: usize) -> Parcel {
-    let finest = finest_cell(parcel.cell, parcel.offset, from);
-    for d in 0..3 {
-        // Shifts of cell and offset: exact but for the last bit of an offset that becomes coarser.
-        let within = parcel.offset[d] * f64::from(1 << from) - f64::from(finest[d] - (parcel.cell[d] << from));
-        let along = f64::from(finest[d] & ((1 << to) - 1)) + within;
-        parcel.cell[d] = finest[d] >> to;
-        parcel.offset[d] = along / f64::from(1 << to);
-    }
-    parcel
-}
-
-/// The finest level's cell that holds a particle.
-fn finest_cell(cell: [i32; 3], offset: [f64; 3], level: usize) -> [i32; 3] {
-    std::array::from_fn(|d| {
-        let within = (offset[d] * f64::from(1 << level)).floor() as i32;
-        (cell[d] << level) + within.min((1 << level) - 1)
-    })
 }
 
 /// Where a cell stands in its block.

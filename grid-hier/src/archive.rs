@@ -107,19 +107,9 @@ impl Reach {
         ledger.count("bytes in the archive now", self.bytes());
     }
 
-    /// Whether the column of a coarsest cell is out of reach. Columns beyond the world are not.
-    fn is_away(&self, x: i32, y: i32, world: [[i32; 2]; 2]) -> bool {
-        let inside = [x, y].iter().zip(world).all(|(c, [min, max])| (min..max).contains(c));
-        inside && !self.live.contains(&[x, y].map(|c| c.div_euclid(TILE)))
-    }
-
     /// Columns of a tile whose nodes touch ground out of reach, as bits: 4 x + y.
     pub fn edge_of(&self, tile: [i32; 2], world: [[i32; 2]; 2]) -> u16 {
-        (0..16).fold(0, |bits, column| {
-            let [x, y] = [tile[0] * TILE + column / 4, tile[1] * TILE + column % 4];
-            let away = (-1..=1).any(|dx| (-1..=1).any(|dy| self.is_away(x + dx, y + dy, world)));
-            bits | u16::from(away) << column
-        })
+        edge_of(&self.live, tile, world)
     }
 
     /// Moves on to the tiles that are within reach now. Returns those that come and those that go, if there are any.
@@ -154,6 +144,7 @@ impl Reach {
         adapt: &mut Adapt,
     ) -> Result<Vec<(f64, [f64; 3])>> {
         let motions: Vec<_> = tiles.iter().map(|(_, lists)| motion_of(lists)).collect();
+        adapt.leave(tiles.iter().flat_map(|(_, lists)| lists).flat_map(|list| &list.id));
         let (terrain, shown) = (&self.terrain, &*adapt);
         let pack = |(tile, lists)| {
             let changed = terrain.changed(tile, lists, couplings, &shown.regions)?;
@@ -222,14 +213,30 @@ impl Reach {
                 mend: "start a new run from what this one has made",
             });
         }
-        let adapt = &*adapt;
+        let shown = &*adapt;
         let of_list = |list: &ParticleList| {
             let level = list.level as usize;
-            (0..list.len()).map(|i| adapt.settled(Parcel::of(list, i), level)).collect::<Vec<_>>()
+            (0..list.len()).map(|i| shown.settled(Parcel::of(list, i), level)).collect::<Vec<_>>()
         };
         let parcels = coming.par_iter().flat_map_iter(|(lists, _)| lists.iter().flat_map(of_list));
-        Ok((mass, parcels.collect()))
+        let parcels: Vec<(usize, Parcel)> = parcels.collect();
+        adapt.come(&parcels);
+        Ok((mass, parcels))
     }
+}
+
+/// Columns of a tile whose nodes touch ground out of reach where so many are live, as bits: 4 x + y. `world` are the ends of the world along x and y in coarsest cells.
+pub fn edge_of(live: &Tiles, tile: [i32; 2], world: [[i32; 2]; 2]) -> u16 {
+    // Columns beyond the world are not out of reach.
+    let is_away = |x: i32, y: i32| {
+        let inside = [x, y].iter().zip(world).all(|(c, [min, max])| (min..max).contains(c));
+        inside && !live.contains(&[x, y].map(|c| c.div_euclid(TILE)))
+    };
+    (0..16).fold(0, |bits, column| {
+        let [x, y] = [tile[0] * TILE + column / 4, tile[1] * TILE + column % 4];
+        let away = (-1..=1).any(|dx| (-1..=1).any(|dy| is_away(x + dx, y + dy)));
+        bits | u16::from(away) << column
+    })
 }
 
 /// The tile in which a point [m] lies, where the coarsest cells have that width [m].

@@ -9,6 +9,8 @@
 //! # Source
 //! Affine particles: Jiang et al. 2015. Least squares for C: Yue et al. 2015, with the particles' own inertia.
 
+pub mod adjoint;
+
 use crate::transfer::MAX_STATE;
 use barchan_abi as abi;
 use nalgebra::{Matrix3, SymmetricEigen, Vector3};

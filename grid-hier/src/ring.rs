@@ -50,7 +50,7 @@ pub fn first_parent(block: [i32; 3]) -> [i32; 3] {
 
 /// Calls `f` with each parent of a node of a block: its place among the 4³, its weight, its distance in fine cells.
 #[inline(always)]
-fn each_parent(node: usize, mut f: impl FnMut(usize, f64, [f64; 3])) {
+pub fn each_parent(node: usize, mut f: impl FnMut(usize, f64, [f64; 3])) {
     let (x, y, z) = (node / 16, node / 4 % 4, node % 4);
     for (px, wx, dx) in PARENTS[x] {
         for (py, wy, dy) in PARENTS[y] {
@@ -58,6 +58,21 @@ fn each_parent(node: usize, mut f: impl FnMut(usize, f64, [f64; 3])) {
                 f(px * 16 + py * 4 + pz, wx * wy * wz, [dx, dy, dz]);
             }
         }
+    }
+}
+
+/// Calls `f` with each parent cell that enters the mean about a node of a block, as [`spread`] finds it: its place among the 4³ around the block, and its weight.
+pub fn each_mean(node: usize, mut f: impl FnMut(usize, f64)) {
+    const FAR: f64 = 1.0 / 32.0;
+    const NEAR: f64 = 9.0 / 32.0;
+    const OWN: f64 = 11.0 / 16.0;
+    // Along an axis, from the first of three cells on.
+    const ALONG: [(usize, [f64; 3]); 4] =
+        [(0, [NEAR, OWN, FAR]), (0, [FAR, OWN, NEAR]), (1, [NEAR, OWN, FAR]), (1, [FAR, OWN, NEAR])];
+    let [(x, of_x), (y, of_y), (z, of_z)] = [node / 16, node / 4 % 4, node % 4].map(|at| ALONG[at]);
+    for k in 0..27 {
+        let (i, j, k) = (k / 9, k / 3 % 3, k % 3);
+        f((x + i) * 16 + (y + j) * 4 + z + k, of_x[i] * of_y[j] * of_z[k]);
     }
 }
 

@@ -6,9 +6,10 @@ use crate::plan::PlannedMaterial;
 use crate::probe::Filter;
 use crate::task::{Sampled, Watch, chosen};
 use crate::{
-    Aabb, Apart, BodyState, Coupling, Crossed, Fields, Form, Ledger, Newcomer, ParticleList, ParticleState, Plan,
-    Reading, Result, Sought, Spot, Stage, Sums, Tile, Vec3, Wrench,
+    Aabb, Adapted, Apart, BodyState, Coupling, Crossed, Fields, Form, Ledger, Newcomer, ParticleList, ParticleState,
+    Plan, Reading, Result, Sought, Spot, Stage, Sums, Tile, Vec3, Wrench,
 };
+use std::sync::Arc;
 
 /// A way to run a plan, such as `cpu`.
 pub trait Backend: Send + Sync {
@@ -236,6 +237,8 @@ pub struct StepReport {
     /// Bodies after the step, all couplings' in their order, if the engine has taken further steps since, and somebody asks for them
     /// ([`Simulation::report_bodies`](crate::Simulation::report_bodies)).
     pub bodies: Option<Vec<BodyState>>,
+    /// What became of nested levels and their particles before the step, if anything did.
+    pub adapted: Option<Arc<Adapted>>,
 }
 
 /// Time and calls of one effect since the start.
@@ -252,18 +255,25 @@ pub struct Timing {
 /// Goes back through steps.
 pub trait Adjoint: Send {
     /// From what a loss owes to the particles after a step to what it owes to those before it, which are given, and to what is the same in all steps. The step began at `time` and took
-    /// `dt` [s]; the couplings are as they were before it, and may be left otherwise. In one of no length nothing moves: C changes the strain that [lags behind](ParticleState::strain_dt), and no more.
+    /// `dt` [s]; the couplings are as they were before it, and may be left otherwise. `adapted` is what became of levels and their particles in it, before anything moved. In one of no
+    /// length nothing moves: C changes the strain that [lags behind](ParticleState::strain_dt), and no more.
     ///
     /// # Errors
-    /// [`crate::Error::MaterialFailed`] if a law fails, or a derivative of it is not finite.
+    /// [`crate::Error::MaterialFailed`] if a law fails, or a derivative of it is not finite; [`crate::Error::Body`] for a body whose motion in a step of this kind has no adjoint.
     fn step_back(
         &mut self,
         before: &ParticleState,
         couplings: &mut [Box<dyn Coupling>],
         time: f64,
         dt: f64,
+        adapted: Option<&Adapted>,
         gradient: &mut Gradient,
     ) -> Result<()>;
+    /// Particles as they are once levels and particles have changed, strain as it was.
+    ///
+    /// # Errors
+    /// [`crate::Error::Body`] if there are no such particles.
+    fn adapted(&self, before: &ParticleState, adapted: &Adapted) -> Result<ParticleState>;
 }
 
 /// A compiled plan with its particles.

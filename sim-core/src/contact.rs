@@ -242,6 +242,11 @@ impl Contact {
         with_nodes([&of_nodes, &of_particles], &mut |nodes| self.meet(couplings, dt, nodes))
     }
 
+    /// Has a body, by its number over all couplings, gripped any node when they met last?
+    pub fn has_met(&self, body: usize) -> bool {
+        self.touches.get(body).is_some_and(|touches| !touches.is_empty())
+    }
+
     /// Bodies that are no fields act on nodes and feel them:
     /// 1. each body says which nodes it grips;
     /// 2. a node that several grip is that one's in which it is deepest, of equals the first one's in the scene's order;

@@ -6,8 +6,8 @@
 
 use crate::coupling::Kept;
 use crate::{
-    Backend, Coupling, Engine, Error, Form, Options, ParticleState, Plan, Registry, Result, Simulation, Stage, Vec3,
-    Wrench,
+    Adapted, Adjoint, Backend, Coupling, Engine, Error, Form, Options, ParticleState, Plan, Registry, Result,
+    Simulation, Stage, Vec3, Wrench,
 };
 use std::ops::ControlFlow;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -199,11 +199,13 @@ pub struct Moment {
 }
 
 /// A step that was taken.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 struct Taken {
     /// When it began, and its length [s].
     time: f64,
     dt: f64,
+    /// What became of levels and particles before it.
+    adapted: Option<Arc<Adapted>>,
 }
 
 /// What is asked whether to go on, after each of so many steps.
@@ -275,10 +277,6 @@ fn moment(particles: &ParticleState, simulation: &Simulation) -> Moment {
 fn mend(stage: Stage) -> &'static str {
     match stage {
         Stage::SLEEP => "set sleep.on = false",
-        Stage::ADAPT | Stage::RESTRICT | Stage::PROLONG => {
-            "use one level: gradients do not go through nested levels yet"
-        }
-        Stage::ARCHIVE => "give the world an end: gradients do not go through the archive of ground out of reach yet",
         _ => "choose a scene without it",
     }
 }
@@ -321,6 +319,9 @@ fn check(plan: &Plan, backwards: &dyn Backend) -> Result<()> {
         if planned.damping.is_some() {
             return Err(refused("material.damping", "damping has no adjoint yet", "leave it out"));
         }
+    }
+    if plan.schedule.slots > 1 {
+        return Err(refused("levels.subcycle", "steps of each level's own have no adjoint yet", "set it to false"));
     }
     if plan.flows.is_some() {
         return Err(refused("source", "sources and sinks have no adjoint", "leave them out"));
@@ -371,7 +372,7 @@ impl Simulation {
         let mut impulses = vec![Wrench::default(); began.bodies.len()];
         let mut time = self.time();
         let reached = self.advance(until, |simulation, report| {
-            steps.push(Taken { time, dt: report.dt });
+            steps.push(Taken { time, dt: report.dt, adapted: report.adapted.clone() });
             time = simulation.time();
             let felt = impulses.iter_mut().zip(simulation.wrenches());
             felt.for_each(|(sum, wrench)| sum.add_change(&Wrench::default(), &wrench, report.dt));
@@ -384,7 +385,9 @@ impl Simulation {
         self.engine().check()?;
         lost = self.lost() - lost;
         let moments = [began, moment(&end, self)];
-        if lost > 0 || moments[0].id != moments[1].id {
+        let resampled =
+            steps.iter().filter_map(|step| step.adapted.as_ref()).any(|adapted| !adapted.changes.is_empty());
+        if lost > 0 || !resampled && moments[0].id != moments[1].id {
             return Err(refused(
                 "world.leaving",
                 "particles left the world, or were put back into it, on the way",
@@ -441,7 +444,7 @@ impl Tape {
     /// # Errors
     /// As [`pull_back`](Self::pull_back).
     pub fn pull_back_while(&self, cotangents: Cotangents, on_step: &mut OnStep<'_>) -> Result<Option<Gradient>> {
-        let particles = self.moments[0].id.len();
+        let particles = self.moments[1].id.len();
         let Cotangents { position, velocity, affine, strain, state, lags, bodies, robots } = &cotangents;
         let lags = *lags;
         if [position.len(), velocity.len(), affine.len(), strain.len(), state.len()] != [particles; 5] {
@@ -503,18 +506,19 @@ impl Tape {
         let mut kept = Vec::new();
         let wanted = |i: usize| i.is_multiple_of(stretch) || i == self.steps.len();
         let start = Before { particles: self.start.clone(), lagging: None, coupled: keep(couplings) };
-        if self.take_again(start, couplings, &self.steps, wanted, &mut kept, &mut go_on)?.is_break() {
+        let forwards = (&*adjoint, &self.steps[..]);
+        if self.take_again(start, couplings, forwards, wanted, &mut kept, &mut go_on)?.is_break() {
             return Ok(None);
         }
         // A backend that brings strain up to date within a step has done so once more, and one that takes over from one that does not does so first.
         let end = kept.pop().map(|end| (end.particles.strain_dt > 0.0 && !lags, end));
         let carried = end.and_then(|(taken_over, end)| end.lagging.or(taken_over.then_some(end.particles)));
         if let Some(before) = carried {
-            adjoint.step_back(&before, &mut [], self.moments[1].time, 0.0, &mut gradient)?;
+            adjoint.step_back(&before, &mut [], self.moments[1].time, 0.0, None, &mut gradient)?;
         }
         for (steps, start) in self.steps.chunks(stretch).zip(kept).rev() {
             let mut within = Vec::with_capacity(steps.len());
-            let to_last = &steps[..steps.len() - 1];
+            let to_last = (&*adjoint, &steps[..steps.len() - 1]);
             if self.take_again(start, couplings, to_last, |_| true, &mut within, &mut go_on)?.is_break() {
                 return Ok(None);
             }
@@ -522,7 +526,8 @@ impl Tape {
                 let Before { particles, lagging, coupled } = before;
                 go_back(couplings, coupled)?;
                 let particles = lagging.as_ref().unwrap_or(&particles);
-                adjoint.step_back(particles, couplings, step.time, step.dt, &mut gradient)?;
+                let adapted = step.adapted.as_deref();
+                adjoint.step_back(particles, couplings, step.time, step.dt, adapted, &mut gradient)?;
                 if go_on().is_break() {
                     return Ok(None);
                 }
@@ -538,7 +543,7 @@ impl Tape {
         &self,
         start: Before,
         couplings: &mut [Box<dyn Coupling>],
-        steps: &[Taken],
+        (adjoint, steps): (&dyn Adjoint, &[Taken]),
         wanted: impl Fn(usize) -> bool,
         kept: &mut Vec<Before>,
         go_on: &mut dyn FnMut() -> ControlFlow<()>,
@@ -561,7 +566,14 @@ impl Tape {
                 let now = engine.state();
                 engine.check()?;
                 let lags = now.strain_dt == 0.0;
-                let lagging = last.take_if(|_| lags).map(|last| lagging(&now, &last, step.dt));
+                let last_kept = last.take_if(|_| lags);
+                let lagging = last_kept.map(|last| match &step.adapted {
+                    Some(adapted) if !adapted.changes.is_empty() => {
+                        Ok(lagging(&now, &adjoint.adapted(&last, adapted)?, step.dt))
+                    }
+                    _ => Ok(lagging(&now, &last, step.dt)),
+                });
+                let lagging = lagging.transpose()?;
                 last = lags.then(|| now.clone());
                 kept.extend(wanted(i + 1).then(|| Before { particles: now, lagging, coupled: keep(couplings) }));
             }

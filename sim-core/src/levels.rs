@@ -7,7 +7,7 @@
 
 use crate::coupling::Aabb;
 use crate::scene::{Scene, Wall};
-use crate::{BodyState, Coupling, LevelPhase, ParticleState, Vec3};
+use crate::{BodyState, Coupling, LevelPhase, ParticleList, ParticleState, Vec3};
 use serde::{Deserialize, Serialize};
 use std::collections::{BTreeSet, HashMap};
 
@@ -34,6 +34,54 @@ pub const LEAST_DEPTH: f64 = 4.0;
 /// Cells of the coarsest level along a side of a tile. A tile is a column over the whole height of the world; ground
 /// comes within reach and goes out of it by tiles.
 pub const TILE: i32 = 4;
+
+/// What becomes of levels and of their particles before a step.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Adapted {
+    /// Boxes of each level but the coarsest in the step, in cells of the level.
+    pub boxes: Vec<Vec<CellBox>>,
+    /// Tiles that are live in the step, if only the ground within reach is.
+    pub live: BTreeSet<[i32; 2]>,
+    /// Which levels had their particles sorted.
+    pub sorted: Vec<bool>,
+    /// Was strain brought up to date before, where it [lags behind](ParticleState::strain_dt)?
+    pub carried: bool,
+    /// What particles went through, one after the other.
+    pub changes: Vec<LevelChange>,
+}
+
+/// What a particle goes through where levels move, or it moves from level to level. Particles are named by their numbers.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LevelChange {
+    /// One becomes eight, of which the first keeps its number.
+    Split {
+        /// Which.
+        id: u32,
+        /// Its children, octant by octant, x fastest.
+        children: [u32; 8],
+        /// How far these are from its middle, where 1 is the middles of its octants.
+        scale: f64,
+    },
+    /// Several become one, which has the least of their numbers.
+    Merge {
+        /// Which.
+        members: Vec<u32>,
+    },
+    /// One is on another level from now on, or a new one has found its own.
+    Move {
+        /// Which.
+        id: u32,
+        /// The level.
+        to: u32,
+    },
+    /// One goes out of reach.
+    Leave {
+        /// Which.
+        id: u32,
+    },
+    /// These come within reach, all of one level and material.
+    Come(Box<ParticleList>),
+}
 
 /// A box of cells of one level, from `min` up to but without `max`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

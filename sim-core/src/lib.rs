@@ -55,7 +55,7 @@ pub use error::{Error, Result};
 pub use flow::Newcomer;
 pub use gradient::{Cotangents, Gradient, Tape};
 pub use ledger::Ledger;
-pub use levels::Regions;
+pub use levels::{Adapted, LevelChange, Regions};
 pub use material::Material;
 pub use observer::{Observer, Output};
 pub use plan::{Effect, Plan, Precision};

@@ -1,4 +1,4 @@
-//! Steps backwards, for gradients: one level.
+//! Steps backwards, for gradients.
 //!
 //! A step is x, v, C, b → stress and b' (the law) → momentum and mass of nodes (P2G, walls) → their velocity, which bodies change → v', C', x' (G2P). Backwards, what a loss owes to the
 //! latter goes to the nodes' velocity (the adjoint of G2P), through contact (`contact.rs`) to their momentum and mass, and from these to stress, v, C and x (that of P2G), and through the law to
@@ -9,13 +9,18 @@
 #![expect(non_snake_case, reason = "symbols follow Hu et al. 2018")]
 
 mod contact;
+mod rims;
 
 use barchan_core::account::BATCH;
 use barchan_core::batch::{Answer, Matter, Motion, Owed, Plane};
 use barchan_core::gradient::{Gradient, MOST_STATES, by_number};
 use barchan_core::material::ErrorBuffer;
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::{Adjoint, Coupling, Error, ParticleList, ParticleState, Plan, Result, Scene, Vec3};
+use barchan_core::{
+    Adapted, Adjoint, Coupling, Error, ParticleList, ParticleState, Plan, Regions, Result, Scene, SortPhase, Vec3,
+};
+use barchan_grid::adapt::replay::Replay;
+use barchan_grid::archive::{Tiles, edge_of};
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::limits::{LEAST_MASS, MAX_DEFORMATION};
@@ -24,6 +29,7 @@ use barchan_grid::transfer::{ENTRIES, deformed};
 use contact::{Around, Ground, Met};
 use rayon::ThreadPool;
 use rayon::prelude::*;
+use rims::{Rim, blocks_of};
 use std::collections::HashMap;
 
 /// Pieces that share nodes: with fewer, more of these are added up than particles touch.
@@ -36,11 +42,19 @@ const ASKED: &str = "whoever records steps has refused laws without it";
 pub(crate) struct CpuAdjoint {
     pool: ThreadPool,
     materials: Vec<PlannedMaterial>,
-    bounds: Bounds,
+    /// Of each level, finest first.
+    grids: Vec<LevelGrid>,
+    regions: Regions,
+    replay: Replay,
     scene: Scene,
+    ground: Ground,
+}
+
+/// What a level's grid is like.
+struct LevelGrid {
+    bounds: Bounds,
     /// Cell width [m].
     h: f64,
-    ground: Ground,
 }
 
 /// Particles that are worked on together: of one list, so many from one on.
@@ -105,9 +119,10 @@ impl Nodes {
         }
     }
 
-    /// The same blocks without anything in them.
-    fn cleared(&self) -> Self {
-        Self { at: self.at.clone(), keys: self.keys.clone(), values: vec![[[0.0; 4]; CELLS]; self.keys.len()] }
+    /// The same nodes, each with what is made of it.
+    fn map(&self, of: impl Fn([f64; 4]) -> [f64; 4]) -> Self {
+        let values = self.values.iter().map(|block| block.map(&of)).collect();
+        Self { at: self.at.clone(), keys: self.keys.clone(), values }
     }
 }
 
@@ -197,9 +212,16 @@ impl CpuAdjoint {
             what: "starting worker threads",
             source: std::io::Error::other(e),
         })?;
-        let (bounds, h) = (Bounds::new(plan, 0), plan.cell_widths[0]);
-        let ground = Ground::new(plan)?;
-        Ok(Self { pool, materials: plan.materials.clone(), bounds, scene: plan.scene.clone(), h, ground })
+        let grid = |(level, h): (usize, &f64)| LevelGrid { bounds: Bounds::new(plan, level), h: *h };
+        Ok(Self {
+            pool,
+            materials: plan.materials.clone(),
+            grids: plan.cell_widths.iter().enumerate().map(grid).collect(),
+            regions: plan.regions.clone(),
+            replay: Replay::new(plan),
+            scene: plan.scene.clone(),
+            ground: Ground::new(plan)?,
+        })
     }
 
     /// What a list's law and step come to for a piece: stress, and what goes back through it needs.
@@ -237,13 +259,14 @@ impl CpuAdjoint {
     }
 
     /// The momentum that a particle gives, and by how much it grows a cell: m (v + dt g), and m h C − 4 dt V τ / h.
-    fn momentum(&self, list: &ParticleList, p: usize, tau: [f64; 6], step: &Step) -> Affine {
-        let [m, stress] = [list.mass[p], -4.0 * step.dt / self.h * list.volume0[p]];
+    fn momentum(list: &ParticleList, p: usize, tau: [f64; 6], step: &Step) -> Affine {
+        let h = list.cell_width;
+        let [m, stress] = [list.mass[p], -4.0 * step.dt / h * list.volume0[p]];
         let [xx, yy, zz, xy, xz, yz] = tau;
         let full = [xx, xy, xz, xy, yy, yz, xz, yz, zz];
         Affine {
             at: std::array::from_fn(|d| m * (list.velocity[p][d] + step.dt * step.gravity[d])),
-            rows: std::array::from_fn(|e| m * self.h * list.affine[p][e] + stress * full[e]),
+            rows: std::array::from_fn(|e| m * h * list.affine[p][e] + stress * full[e]),
         }
     }
 
@@ -255,17 +278,18 @@ impl CpuAdjoint {
         nodes: &mut Nodes,
         last: &mut ([[i32; 3]; 3], [usize; AROUND]),
     ) -> Place {
+        let LevelGrid { bounds, h } = &self.grids[list.level as usize];
         // Along each axis: the cell of each node, and the signs that a wall gives its directions.
         let along: [[(i32, [bool; 3]); 3]; 3] = std::array::from_fn(|d| {
             std::array::from_fn(|i| {
-                let mut cell = [self.bounds.min[0], self.bounds.min[1], self.bounds.min[2]];
+                let mut cell = [bounds.min[0], bounds.min[1], bounds.min[2]];
                 cell[d] = list.cell[p][d] + i as i32 - 1;
-                let (reflected, flipped) = self.bounds.mirrors.reflected(cell);
-                let period = self.bounds.periods()[d];
+                let (reflected, flipped) = bounds.mirrors.reflected(cell);
+                let period = bounds.periods()[d];
                 let at = if period == 0 {
                     reflected[d]
                 } else {
-                    self.bounds.min[d] + (reflected[d] - self.bounds.min[d]).rem_euclid(period)
+                    bounds.min[d] + (reflected[d] - bounds.min[d]).rem_euclid(period)
                 };
                 (at, flipped)
             })
@@ -277,8 +301,7 @@ impl CpuAdjoint {
             }
             last.0 = blocks;
         }
-        let mut place =
-            Place { stencil: Stencil::new(list.offset[p], self.h), nodes: [0; AROUND], flipped: [0; AROUND] };
+        let mut place = Place { stencil: Stencil::new(list.offset[p], *h), nodes: [0; AROUND], flipped: [0; AROUND] };
         for n in 0..AROUND {
             let at = [along[0][n / 9], along[1][n / 3 % 3], along[2][n % 3]];
             let [x, y, z] = at.map(|(cell, _)| cell.rem_euclid(block::SIDE) as usize);
@@ -298,7 +321,7 @@ impl CpuAdjoint {
         for i in 0..piece.count {
             let p = piece.first + i;
             let place = self.place(list, p, nodes, &mut last);
-            let gives = self.momentum(list, p, deformed.kirchhoff.map(|plane| plane.0[i]), step);
+            let gives = Self::momentum(list, p, deformed.kirchhoff.map(|plane| plane.0[i]), step);
             place.stencil.scatter(&gives, list.mass[p], |n, [x, y, z, m]| {
                 let (node, given) = place.at(n, [x, y, z]);
                 let node = nodes.get_mut(node as usize);
@@ -311,6 +334,11 @@ impl CpuAdjoint {
         Ok(Forward { places, momentum, deformed })
     }
 
+    /// P2G of a level.
+    fn give_level<'a>(&self, pieces: &'a [Piece<'a>], step: &Step) -> Result<Vec<Group<'a>>> {
+        pieces.par_chunks(PIECES).map(|pieces| self.give_all(pieces, step)).collect()
+    }
+
     /// P2G of some pieces.
     fn give_all<'a>(&self, pieces: &'a [Piece<'a>], step: &Step) -> Result<Group<'a>> {
         let mut nodes = Nodes::default();
@@ -319,9 +347,9 @@ impl CpuAdjoint {
     }
 
     /// Walls that let go act on sums of nodes. Returns what they were before, in the order in which walls acted.
-    fn separate(&self, sums: &mut Nodes) -> Vec<Pair> {
+    fn separate(bounds: &Bounds, sums: &mut Nodes) -> Vec<Pair> {
         let mut pairs = Vec::new();
-        for (number, (separation, faces)) in self.bounds.separations.iter().enumerate() {
+        for (number, (separation, faces)) in bounds.separations.iter().enumerate() {
             for image in 0..sums.keys.len() * CELLS {
                 let mut cell = sums.cell(image);
                 let behind = if separation.inward > 0.0 {
@@ -346,20 +374,15 @@ impl CpuAdjoint {
     }
 
     /// G2P of a group backwards: what its particles owe to nodes, and to where they read.
-    fn read_back(
-        &self,
-        group: &Group<'_>,
-        velocities: &Nodes,
-        dt: f64,
-        gradient: &Gradient,
-    ) -> (Nodes, Vec<Vec<Back>>) {
+    fn read_back(group: &Group<'_>, velocities: &Nodes, dt: f64, gradient: &Gradient) -> (Nodes, Vec<Vec<Back>>) {
         let to_all = velocities.numbers_of(&group.nodes);
-        let mut owed = group.nodes.cleared();
+        let mut owed = group.nodes.map(|_| [0.0; 4]);
         let of_piece = |(piece, forward): (&Piece<'_>, &Forward)| {
+            let h = piece.list.cell_width;
             let places = forward.places.iter().zip(piece.number);
             places
                 .map(|(place, number)| {
-                    self.read_one(place, *number as usize, (velocities, &to_all), dt, gradient, &mut owed)
+                    Self::read_one(place, (*number as usize, h), (velocities, &to_all), dt, gradient, &mut owed)
                 })
                 .collect()
         };
@@ -369,9 +392,8 @@ impl CpuAdjoint {
 
     /// The same of one particle.
     fn read_one(
-        &self,
         place: &Place,
-        number: usize,
+        (number, h): (usize, f64),
         (velocities, to_all): (&Nodes, &impl Fn(u32) -> usize),
         dt: f64,
         gradient: &Gradient,
@@ -386,7 +408,7 @@ impl CpuAdjoint {
             let [x, y, z, _] = velocities.get(to_all(place.nodes[n]));
             place.at(n, [x, y, z]).1
         };
-        let moved = place.stencil.gather_back(self.h, &cotangent, velocity, |n, given| {
+        let moved = place.stencil.gather_back(h, &cotangent, velocity, |n, given| {
             let (node, given) = place.at(n, given);
             let node = owed.get_mut(node as usize);
             (0..3).for_each(|d| node[d] += given[d]);
@@ -403,13 +425,13 @@ impl CpuAdjoint {
         gradient: &Gradient,
         mut backs: Vec<Back>,
     ) -> Result<Given> {
-        let list = piece.list;
+        let (list, h) = (piece.list, piece.list.cell_width);
         let mut gravity = [0.0; 3];
         let mut kirchhoff = [Plane::<f64, BATCH>::default(); 6];
         for (i, back) in backs.iter_mut().enumerate() {
             let (p, place) = (piece.first + i, &forward.places[i]);
             let mass = list.mass[p];
-            let (of, moved) = place.stencil.scatter_back(self.h, &forward.momentum[i], mass, |n| {
+            let (of, moved) = place.stencil.scatter_back(h, &forward.momentum[i], mass, |n| {
                 let [x, y, z, m] = owed.get(to_all(place.nodes[n]));
                 let (_, [x, y, z]) = place.at(n, [x, y, z]);
                 [x, y, z, m]
@@ -419,8 +441,8 @@ impl CpuAdjoint {
                 back.velocity[d] += mass * of.at[d];
                 gravity[d] += mass * step.dt * step.grown * of.at[d];
             }
-            back.affine = of.rows.map(|a| mass * self.h * a);
-            let stress = -4.0 * step.dt / self.h * list.volume0[p];
+            back.affine = of.rows.map(|a| mass * h * a);
+            let stress = -4.0 * step.dt / h * list.volume0[p];
             for (plane, (row, column)) in kirchhoff.iter_mut().zip(ENTRIES) {
                 let other = if row == column { 0.0 } else { of.rows[3 * column + row] };
                 plane.0[i] = stress * (of.rows[3 * row + column] + other);
@@ -491,9 +513,9 @@ impl CpuAdjoint {
     }
 
     /// What is owed to nodes before walls that let go, from what is owed to their images behind them, which move as they do.
-    fn images_back(&self, pairs: &[Pair], owed: &mut Nodes) {
+    fn images_back(bounds: &Bounds, pairs: &[Pair], owed: &mut Nodes) {
         for pair in pairs {
-            let separation = &self.bounds.separations[pair.separation].0;
+            let separation = &bounds.separations[pair.separation].0;
             let image = std::mem::take(owed.get_mut(pair.image));
             let back = separation.unfold_back(pair.presses, [image[0], image[1], image[2]]);
             (0..3).for_each(|d| owed.get_mut(pair.node)[d] += back[d]);
@@ -501,7 +523,7 @@ impl CpuAdjoint {
     }
 
     /// What is owed to the sums of nodes, from what is owed to their velocities, and to masses by contact.
-    fn sums_back(&self, velocities: &Nodes, sums: &Nodes, pairs: &[Pair], owed: &mut Nodes) {
+    fn sums_back(bounds: &Bounds, [velocities, sums]: [&Nodes; 2], pairs: &[Pair], owed: &mut Nodes) {
         for node in 0..owed.keys.len() * CELLS {
             let [x, y, z, mass] = sums.get(node);
             let of = owed.get_mut(node);
@@ -509,20 +531,35 @@ impl CpuAdjoint {
                 let along = of[0] * x + of[1] * y + of[2] * z;
                 *of = [of[0] / mass, of[1] / mass, of[2] / mass, of[3] - along / (mass * mass)];
             } else {
-                *of = [0.0; 4];
+                // Where ground out of reach holds it, what a body took still depends on its mass.
+                *of = [0.0, 0.0, 0.0, of[3]];
             }
         }
         for pair in pairs.iter().rev() {
-            let separation = &self.bounds.separations[pair.separation].0;
+            let separation = &bounds.separations[pair.separation].0;
             let [node, image] = separation.fold_back(&pair.sums[0], &pair.sums[1], owed.get(pair.node));
             (*owed.get_mut(pair.node), *owed.get_mut(pair.image)) = (node, image);
         }
     }
 
+    /// Nodes at the edge of the ground within reach stay at rest.
+    fn hold(&self, velocities: &mut [Nodes], live: &Tiles) {
+        let (Some(nodes), Some(grid)) = (velocities.last_mut(), self.grids.last()) else { return };
+        if !self.regions.unbounded() {
+            return;
+        }
+        let world = [0, 1].map(|d| [grid.bounds.min[d], grid.bounds.max[d]]);
+        for (key, values) in nodes.keys.iter().zip(&mut nodes.values) {
+            let columns = edge_of(live, [key[0], key[1]], world);
+            let held = values.iter_mut().enumerate().filter(|(n, _)| columns >> (n / 4) & 1 == 1);
+            held.for_each(|(_, node)| *node = [0.0; 4]);
+        }
+    }
+
     /// The strain that lags behind, and no more.
-    fn carry_back(&self, before: &ParticleState, step: &Step, gradient: &mut Gradient) -> Result<()> {
+    fn carry_back(&self, before: &ParticleState, steps: &[Step], gradient: &mut Gradient) -> Result<()> {
         let numbers = numbers(before);
-        let pieces = pieces(before, &numbers);
+        let pieces = pieces(before, &numbers, |_| true);
         let one = |piece: &Piece<'_>| {
             let particles = &gradient.particles;
             let as_it_is = |number: &u32| Back {
@@ -532,6 +569,7 @@ impl CpuAdjoint {
                 ..Back::default()
             };
             let mut backs: Vec<Back> = piece.number.iter().map(as_it_is).collect();
+            let step = &steps[piece.list.level as usize];
             let made = self.deform(piece, step)?;
             let parameters = self.deform_back(piece, &made, step, gradient, [Plane::default(); 6], &mut backs)?;
             Ok(Given { backs, parameters, gravity: [0.0; 3] })
@@ -543,53 +581,120 @@ impl CpuAdjoint {
 
     fn back(
         &self,
-        before: &ParticleState,
+        (particles, sort): (&ParticleState, Option<&SortPhase>),
         couplings: &mut [Box<dyn Coupling>],
-        step: &Step,
+        place: &Levels<'_>,
+        steps: &[Step],
         gradient: &mut Gradient,
     ) -> Result<()> {
-        let numbers = numbers(before);
-        let pieces = pieces(before, &numbers);
-        let groups: Vec<Group<'_>> =
-            pieces.par_chunks(PIECES).map(|pieces| self.give_all(pieces, step)).collect::<Result<_>>()?;
-        let mut sums = Nodes::default();
-        groups.iter().for_each(|group| sums.add(&group.nodes));
-        let pairs = self.separate(&mut sums);
-        let masses = before.lists.iter().flat_map(|list| &list.mass);
-        let least = masses.fold(f64::INFINITY, |least, mass| least.min(*mass)) * LEAST_MASS;
-        let mut velocities = sums.cleared();
-        for node in 0..sums.keys.len() * CELLS {
-            let [x, y, z, m] = sums.get(node);
-            // The last number says whether it moves at all.
-            *velocities.get_mut(node) = if m > least { [x / m, y / m, z / m, 1.0] } else { [0.0; 4] };
+        let (numbers, levels) = (numbers(particles), self.grids.len());
+        let of_level = |l: usize| pieces(particles, &numbers, |list| list.level as usize == l);
+        let pieces: Vec<Vec<Piece<'_>>> = (0..levels).map(of_level).collect();
+        let groups: Vec<Vec<Group<'_>>> =
+            pieces.iter().zip(steps).map(|(pieces, step)| self.give_level(pieces, step)).collect::<Result<_>>()?;
+        let mut sums: Vec<Nodes> = (0..levels).map(|_| Nodes::default()).collect();
+        for (sums, groups) in sums.iter_mut().zip(&groups) {
+            groups.iter().for_each(|group| sums.add(&group.nodes));
         }
-        let around = Around { adjoint: self, particles: before, numbers: &numbers, sums: &sums, least };
-        let met = Met::forwards(&around, couplings, step, &mut velocities)?;
-        for pair in pairs.iter().rev() {
-            let separation = &self.bounds.separations[pair.separation].0;
-            let (image, _) = separation.unfold(&velocities.get(pair.node), pair.presses, 0.0);
-            *velocities.get_mut(pair.image) = [image[0], image[1], image[2], 0.0];
+        let blocks = if levels > 1 { blocks_of(particles, sort, place.sorted) } else { Vec::new() };
+        let mut grids: Vec<OnLevel> = Vec::with_capacity(levels);
+        for l in 0..levels {
+            let rim = sums[l..].split_first_mut().and_then(|(sums, coarser)| {
+                Some(self.hand_over(l, &place.regions, [sums, coarser.first_mut()?], (particles, &blocks)))
+            });
+            let pairs = Self::separate(&self.grids[l].bounds, &mut sums[l]);
+            grids.push(OnLevel { rim, pairs });
         }
-        let read: Vec<(Nodes, Vec<Vec<Back>>)> =
-            groups.par_iter().map(|group| self.read_back(group, &velocities, step.dt, gradient)).collect();
-        let (mut owed, mut backs) = (sums.cleared(), Vec::with_capacity(read.len()));
-        for (nodes, back) in read {
-            owed.add(&nodes);
-            backs.push(back);
+        let least = sort.map_or_else(
+            || particles.lists.iter().flat_map(|list| &list.mass).fold(f64::INFINITY, |a, b| a.min(*b)) * LEAST_MASS,
+            |sort| sort.measured.least_mass,
+        );
+        // The last number says whether a node moves at all.
+        let moves = |[x, y, z, m]: [f64; 4]| if m > least { [x / m, y / m, z / m, 1.0] } else { [0.0; 4] };
+        let mut velocities: Vec<Nodes> = sums.iter().map(|sums| sums.map(moves)).collect();
+        self.hold(&mut velocities, place.live);
+        contact::begin(couplings, &steps[0])?;
+        let mut met = Vec::with_capacity(levels);
+        for (l, (sums, velocities)) in sums.iter().zip(&mut velocities).enumerate() {
+            let around = Around { adjoint: self, level: l, particles, numbers: &numbers, sums, least };
+            met.push(Met::forwards(&around, couplings, &steps[l], velocities)?);
         }
-        self.images_back(&pairs, &mut owed);
-        let near = met.backwards(couplings, step, &mut owed, gradient)?;
-        self.sums_back(&velocities, &sums, &pairs, &mut owed);
-        let one = |(group, backs): (&Group<'_>, Vec<Vec<Back>>)| {
-            let to_all = owed.numbers_of(&group.nodes);
-            let each = group.pieces.iter().zip(&group.forwards).zip(backs);
-            each.map(|(piece, backs)| self.give_back(piece, (&owed, &to_all), step, gradient, backs)).collect()
-        };
-        let given: Vec<Vec<Given>> = groups.par_iter().zip(backs).map(one).collect::<Result<_>>()?;
-        take_in(gradient, &pieces, given.into_iter().flatten());
+        for l in (0..levels).rev() {
+            for pair in grids[l].pairs.iter().rev() {
+                let separation = &self.grids[l].bounds.separations[pair.separation].0;
+                let (image, _) = separation.unfold(&velocities[l].get(pair.node), pair.presses, 0.0);
+                *velocities[l].get_mut(pair.image) = [image[0], image[1], image[2], 0.0];
+            }
+            if let ([.., finer], [here, ..]) = velocities.split_at_mut(l)
+                && let Some(rim) = &grids[l - 1].rim
+            {
+                rim.prolong(finer, here);
+            }
+        }
+
+        let (mut owed, mut backs) = (Vec::with_capacity(levels), Vec::with_capacity(levels));
+        for ((groups, step), velocities) in groups.iter().zip(steps).zip(&velocities) {
+            let read: Vec<(Nodes, Vec<Vec<Back>>)> =
+                groups.par_iter().map(|group| Self::read_back(group, velocities, step.dt, gradient)).collect();
+            let (mut sum, mut of_groups) = (velocities.map(|_| [0.0; 4]), Vec::with_capacity(read.len()));
+            for (nodes, back) in read {
+                sum.add(&nodes);
+                of_groups.push(back);
+            }
+            owed.push(sum);
+            backs.push(of_groups);
+        }
+        for (l, OnLevel { rim, pairs }) in grids.iter().enumerate() {
+            Self::images_back(&self.grids[l].bounds, pairs, &mut owed[l]);
+            if let ([.., here], [coarser, ..]) = owed.split_at_mut(l + 1)
+                && let Some(rim) = rim
+            {
+                rim.prolong_back(here, coarser);
+            }
+        }
+        let near = contact::backwards(&met, couplings, &steps[0], &mut owed, gradient)?;
+        let mut of_affine = Vec::new();
+        for (l, OnLevel { rim, pairs }) in grids.iter().enumerate().rev() {
+            Self::sums_back(&self.grids[l].bounds, [&velocities[l], &sums[l]], pairs, &mut owed[l]);
+            if let ([.., here], [coarser, ..]) = owed.split_at_mut(l + 1)
+                && let Some(rim) = rim
+            {
+                let place = (particles, &blocks[..]);
+                self.hand_over_back(l, rim, [here, coarser], place, |list, i, back| of_affine.push((list, i, back)));
+            }
+        }
+        for ((groups, backs), (owed, step)) in groups.iter().zip(backs).zip(owed.iter().zip(steps)) {
+            let one = |(group, backs): (&Group<'_>, Vec<Vec<Back>>)| {
+                let to_all = owed.numbers_of(&group.nodes);
+                let each = group.pieces.iter().zip(&group.forwards).zip(backs);
+                each.map(|(piece, backs)| self.give_back(piece, (owed, &to_all), step, gradient, backs)).collect()
+            };
+            let given: Vec<Vec<Given>> = groups.par_iter().zip(backs).map(one).collect::<Result<_>>()?;
+            let pieces = groups.iter().flat_map(|group| group.pieces);
+            take_in(gradient, pieces, given.into_iter().flatten());
+        }
+        for (list, i, back) in of_affine {
+            let affine = &mut gradient.particles.affine[numbers[list][i] as usize];
+            affine.iter_mut().zip(back).for_each(|(sum, own)| *sum += own);
+        }
         self.ground.take_in(&near, gradient);
         Ok(())
     }
+}
+
+/// Where levels are in a step.
+struct Levels<'a> {
+    regions: Regions,
+    /// Tiles within reach, if not all are, and which levels' particles have just been sorted.
+    live: &'a Tiles,
+    sorted: &'a [bool],
+}
+
+/// What a level's nodes go through besides.
+struct OnLevel {
+    /// Where they end at a coarser level.
+    rim: Option<Rim>,
+    pairs: Vec<Pair>,
 }
 
 /// A particle's values of up to nine planes.
@@ -599,18 +704,26 @@ fn values(planes: &[Plane<f64, BATCH>], i: usize) -> [f64; 9] {
     values
 }
 
-/// The particles of all lists, in pieces.
-fn pieces<'a>(particles: &'a ParticleState, numbers: &'a [Vec<u32>]) -> Vec<Piece<'a>> {
+/// The particles of some lists, in pieces.
+fn pieces<'a>(
+    particles: &'a ParticleState,
+    numbers: &'a [Vec<u32>],
+    wanted: impl Fn(&ParticleList) -> bool,
+) -> Vec<Piece<'a>> {
     let of_list = |(list, numbers): (&'a ParticleList, &'a Vec<u32>)| {
         let each = numbers.chunks(BATCH).enumerate();
         each.map(move |(k, number)| Piece { list, first: k * BATCH, count: number.len(), number })
     };
-    particles.lists.iter().zip(numbers).flat_map(of_list).collect()
+    particles.lists.iter().zip(numbers).filter(|(list, _)| wanted(list)).flat_map(of_list).collect()
 }
 
 /// What goes back to particles, parameters and gravity, piece by piece.
-fn take_in(gradient: &mut Gradient, pieces: &[Piece<'_>], given: impl IntoIterator<Item = Given>) {
-    for (piece, Given { backs, parameters, gravity }) in pieces.iter().zip(given) {
+fn take_in<'a>(
+    gradient: &mut Gradient,
+    pieces: impl IntoIterator<Item = &'a Piece<'a>>,
+    given: impl IntoIterator<Item = Given>,
+) {
+    for (piece, Given { backs, parameters, gravity }) in pieces.into_iter().zip(given) {
         let sums = &mut gradient.parameters[piece.list.material as usize];
         sums.iter_mut().zip(parameters).for_each(|(sum, own)| *sum += own);
         (0..3).for_each(|d| gradient.gravity[d] += gravity[d]);
@@ -662,16 +775,50 @@ impl Adjoint for CpuAdjoint {
         couplings: &mut [Box<dyn Coupling>],
         time: f64,
         dt: f64,
+        adapted: Option<&Adapted>,
         gradient: &mut Gradient,
     ) -> Result<()> {
-        let rates = before.lists.iter().flat_map(|list| &list.affine);
-        let fastest = rates.map(|c| c.iter().map(|x| x * x).sum::<f64>()).fold(0.0, f64::max).sqrt();
-        let parts = (fastest * before.strain_dt / MAX_DEFORMATION).ceil().max(1.0) as u32;
         let (gravity, grown) = (self.scene.gravity_at(time), self.scene.grown_gravity(time));
-        let step = Step { time, dt, gravity, grown, strain_dt: before.strain_dt, parts };
-        self.pool.install(|| match dt == 0.0 {
-            true => self.carry_back(before, &step, gradient),
-            false => self.back(before, couplings, &step, gradient),
+        let of_level = |l: usize| {
+            let own = before.lists.iter().filter(|list| list.level as usize == l);
+            let rates = own.flat_map(|list| &list.affine).map(|c| c.iter().map(|x| x * x).sum::<f64>());
+            let fastest = rates.fold(0.0, f64::max).sqrt();
+            let parts = (fastest * before.strain_dt / MAX_DEFORMATION).ceil().max(1.0) as u32;
+            Step { time, dt, gravity, grown, strain_dt: before.strain_dt, parts }
+        };
+        let mut steps: Vec<Step> = (0..self.grids.len()).map(of_level).collect();
+        let this = &*self;
+        if dt == 0.0 {
+            return this.pool.install(|| this.carry_back(before, &steps, gradient));
+        }
+        let (mut regions, none) = (this.regions.clone(), Tiles::new());
+        let phase = before.levels.as_ref();
+        if let Some(boxes) = adapted.map(|adapted| &adapted.boxes).or(phase.map(|phase| &phase.boxes)) {
+            regions.restore(boxes.clone());
+        }
+        let place = Levels {
+            regions,
+            live: adapted.map(|adapted| &adapted.live).or(phase.map(|phase| &phase.live)).unwrap_or(&none),
+            sorted: adapted.map_or(&[], |adapted| &adapted.sorted),
+        };
+        let Some(adapted) = adapted.filter(|adapted| !adapted.changes.is_empty()) else {
+            let particles = (before, before.sort.as_ref());
+            return this.pool.install(|| this.back(particles, couplings, &place, &steps, gradient));
+        };
+        let carrying = steps.clone();
+        if adapted.carried {
+            steps.iter_mut().for_each(|step| (step.strain_dt, step.parts) = (0.0, 1));
+        }
+        this.pool.install(|| {
+            let replayed = this.replay.forwards(before, adapted)?;
+            let particles = (&replayed.after, before.sort.as_ref());
+            this.back(particles, couplings, &place, &steps, gradient)?;
+            this.replay.backwards(before, &replayed, &mut gradient.particles);
+            if adapted.carried { this.carry_back(before, &carrying, gradient) } else { Ok(()) }
         })
+    }
+
+    fn adapted(&self, before: &ParticleState, adapted: &Adapted) -> Result<ParticleState> {
+        Ok(self.pool.install(|| self.replay.forwards(before, adapted))?.after)
     }
 }

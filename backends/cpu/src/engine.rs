@@ -19,8 +19,8 @@ use barchan_core::schedule::Call;
 use barchan_core::stiffness::{Need, Stiffness};
 use barchan_core::task::{Sampled, chosen};
 use barchan_core::{
-    Aabb, Coupling, Crossed, Engine, Error, Fields, Ledger, Measured, Newcomer, NodeBatch, ParticleList, ParticleState,
-    Plan, Reading, Regions, Result, Scene, Schedule, SortPhase, Spot, Stage, StepReport, Vec3,
+    Aabb, Adapted, Coupling, Crossed, Engine, Error, Fields, Ledger, Measured, Newcomer, NodeBatch, ParticleList,
+    ParticleState, Plan, Reading, Regions, Result, Scene, Schedule, SortPhase, Spot, Stage, StepReport, Vec3,
 };
 use barchan_grid::adapt::Adapt;
 use barchan_grid::archive::Reach;
@@ -105,6 +105,8 @@ pub(crate) struct CpuEngine<T: Scalar> {
     gravity: [f64; 3],
     /// Levels that particles have left or come to since the last sort.
     pub(crate) changed: Vec<bool>,
+    /// Levels that were sorted last.
+    sorted: Vec<bool>,
     /// Steps since the last sort; `None` before the first one.
     pub(crate) age: Option<u32>,
     /// Nodes lighter than this carry nothing that a particle could feel [kg].
@@ -162,6 +164,7 @@ impl<T: Scalar> CpuEngine<T> {
             scene: plan.scene.clone(),
             gravity: plan.gravity,
             changed: vec![false; plan.cell_widths.len()],
+            sorted: Vec::new(),
             age: None,
             least_mass: 0.0,
             stiffness: Bound { dt: f64::INFINITY, by: "nothing".into() },
@@ -212,6 +215,7 @@ impl<T: Scalar> CpuEngine<T> {
         due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
         let clock = Instant::now();
         let left = self.sort_levels(&due, &holes)?;
+        self.sorted = due;
         if let Some((id, position)) = left {
             // All lie in order, to be saved, and whoever goes on finds the same.
             self.age = None;
@@ -616,6 +620,15 @@ impl<T: Scalar> CpuEngine<T> {
         self.levels.iter_mut().for_each(Level::forget_walls);
         let before = if ground { self.follow_agents(couplings) } else { None };
         let sorted = ground && self.keep_in_order(time, before.as_ref(), couplings)?;
+        let adapted = (sorted && self.levels.len() > 1).then(|| {
+            Arc::new(Adapted {
+                boxes: self.adapt.regions.boxes().to_vec(),
+                live: self.reach.as_ref().map(Reach::live).unwrap_or_default(),
+                sorted: std::mem::take(&mut self.sorted),
+                carried: false,
+                changes: self.adapt.take_changes(),
+            })
+        });
         self.gravity = self.scene.gravity_at(time);
         let fall = rest::falls(&self.scene) * self.gravity.iter().map(|g| g * g).sum::<f64>().sqrt();
         let gravity_grows = self.scene.gravity_grows(time);
@@ -648,7 +661,7 @@ impl<T: Scalar> CpuEngine<T> {
         let max_speed = self.levels.iter().fold(0.0, |most, level| greater(level.max_speed, most));
         self.age = self.age.map(|age| age + 1);
         self.steps += 1;
-        Ok(StepReport { dt, sorted, max_speed, wrenches, bodies: None })
+        Ok(StepReport { dt, sorted, max_speed, wrenches, bodies: None, adapted })
     }
 
     fn take_in(&mut self, particles: ParticleState) -> Result<()> {

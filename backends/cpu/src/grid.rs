@@ -240,36 +240,8 @@ impl<T: Float> Grid<T> {
     pub(crate) fn find_rim(&mut self, regions: &Regions, level: usize, bounds: &Bounds, coarser: &Bounds) {
         self.rings.clear();
         self.ring_of.fill(NONE);
-        let slaves_of = |key: u64| {
-            let first = block::of_key(key).map(|b| b * SIDE);
-            let cells = |first: [i32; 3], side: i32| CellBox { min: first, max: first.map(|c| c + side) };
-            let support = |cell: [i32; 3], side: i32| cells(cell, side).grown(1);
-            let whole = regions.cover(level, support(first, SIDE));
-            if whole == Cover::All || regions.touched(level, cells(first, SIDE)) == Cover::None {
-                return 0;
-            }
-            let mut slaves = 0;
-            for n in 0..CELLS {
-                let local = [n / 16, n / 4 % 4, n % 4];
-                let cell: [i32; 3] = std::array::from_fn(|d| first[d] + local[d] as i32);
-                let inside = match if whole == Cover::None { whole } else { regions.cover(level, support(cell, 1)) } {
-                    Cover::All => true,
-                    Cover::None => false,
-                    // Several boxes may hold the support together.
-                    Cover::Part => (0..27).all(|s| {
-                        let offset = block::offset(s);
-                        regions.contains(level, std::array::from_fn(|d| cell[d] + offset[d]))
-                    }),
-                };
-                let is_touched = || regions.touched(level, cells(cell, 1)) == Cover::All;
-                if !inside && is_touched() && !bounds.mirrors.is_behind(cell) {
-                    slaves |= 1 << n;
-                }
-            }
-            slaves
-        };
         self.keys.par_iter().zip(&mut self.slaves).for_each(|(&key, slaves)| {
-            slaves.get_or_insert_with(|| slaves_of(key));
+            slaves.get_or_insert_with(|| slaves_of(regions, level, bounds, block::of_key(key)));
         });
         for (g, slaves) in self.slaves.iter().flatten().copied().enumerate() {
             if slaves != 0 {
@@ -452,6 +424,36 @@ impl<T: Float> Grid<T> {
         }
         pairs
     }
+}
+
+/// Nodes of a block at the rim of a level's region, as bits.
+pub(crate) fn slaves_of(regions: &Regions, level: usize, bounds: &Bounds, at: [i32; 3]) -> u64 {
+    let first = at.map(|b| b * SIDE);
+    let cells = |first: [i32; 3], side: i32| CellBox { min: first, max: first.map(|c| c + side) };
+    let support = |cell: [i32; 3], side: i32| cells(cell, side).grown(1);
+    let whole = regions.cover(level, support(first, SIDE));
+    if whole == Cover::All || regions.touched(level, cells(first, SIDE)) == Cover::None {
+        return 0;
+    }
+    let mut slaves = 0;
+    for n in 0..CELLS {
+        let local = [n / 16, n / 4 % 4, n % 4];
+        let cell: [i32; 3] = std::array::from_fn(|d| first[d] + local[d] as i32);
+        let inside = match if whole == Cover::None { whole } else { regions.cover(level, support(cell, 1)) } {
+            Cover::All => true,
+            Cover::None => false,
+            // Several boxes may hold the support together.
+            Cover::Part => (0..27).all(|s| {
+                let offset = block::offset(s);
+                regions.contains(level, std::array::from_fn(|d| cell[d] + offset[d]))
+            }),
+        };
+        let is_touched = || regions.touched(level, cells(cell, 1)) == Cover::All;
+        if !inside && is_touched() && !bounds.mirrors.is_behind(cell) {
+            slaves |= 1 << n;
+        }
+    }
+    slaves
 }
 
 /// Cell of the first node of the tile of the block with a key.

@@ -47,12 +47,16 @@ impl Backend for Cpu {
             Form::Forward => step::forward::<f32>(stage).is_some(),
             // Where particles lie in memory, what probes see and how long a step may be move nothing.
             Form::Adjoint => [
+                Stage::ARCHIVE,
+                Stage::ADAPT,
                 Stage::SORT,
                 Stage::P2G,
+                Stage::RESTRICT,
                 Stage::GRID_UPDATE,
                 Stage::CONTACT,
                 Stage::LIMIT,
                 Stage::BODIES,
+                Stage::PROLONG,
                 Stage::SIDES,
                 Stage::G2P,
                 Stage::FLUX,

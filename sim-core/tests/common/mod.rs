@@ -351,7 +351,7 @@ impl Engine for Falling {
         }
         self.particles.strain_dt = dt;
         self.steps += 1;
-        Ok(StepReport { dt, sorted: false, max_speed: 0.0, wrenches: None, bodies: None })
+        Ok(StepReport { dt, sorted: false, max_speed: 0.0, wrenches: None, bodies: None, adapted: None })
     }
     fn download(&self) -> ParticleState {
         self.particles.clone()

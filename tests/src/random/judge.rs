@@ -245,7 +245,7 @@ impl Judge {
         scene.tool.retain(|tool| tool.from <= 0.0 && tool.until.is_none());
         (scene.inflow, scene.outflow, scene.probe, scene.task) = (Vec::new(), Vec::new(), Vec::new(), None);
         scene.material.iter_mut().for_each(|material| material.damping = 0.0);
-        (scene.levels, scene.sleep.on) = (Default::default(), Some(false));
+        (scene.levels.subcycle, scene.sleep.on) = (false, Some(false));
         (scene.time.step, scene.time.over_bound) = (Some(0.25 * dt), OverBound::Substep);
         let start = |threads| Simulation::new(&self.registry, &scene, &self.options(Precision::F64, threads));
         // What is left may be no scene: levels may follow a tool, or hold up what is too large without them.
@@ -285,7 +285,9 @@ impl Judge {
             owed.rates = robot.rates.iter().map(|_| noise.draw() * end).collect();
         }
         let is_refused = |what: &str| {
-            ["a wall of the world has pushed it", "come and go"].iter().any(|refusal| what.contains(refusal))
+            ["a wall of the world has pushed it", "come and go", "of two levels at once"]
+                .iter()
+                .any(|refusal| what.contains(refusal))
         };
         let back = |tape: &Tape, loss| match tape.pull_back(loss) {
             Ok(gradient) => Ok(Some(gradient)),

@@ -165,3 +165,33 @@ fn gradients_go_through_robots_on_a_device() {
         within(&format!("{found:?} {expected:?}"), apart / size, 1e-2);
     }
 }
+
+/// Through levels that follow a tool, whose particles the device finds and the host splits and merges: over one tape and over two, of which the second begins behind that.
+#[test]
+fn gradients_go_through_levels_on_a_device() {
+    let walls = "x_min = \"slip\"\nx_max = \"slip\"\ny_min = \"slip\"\ny_max = \"slip\"\nz_min = \"stick\"";
+    let text = Head::cells(0.05, [44, 20, 14], walls).time("step = 1e-3").with(&[
+        "[sleep]\non = false\n[levels]\ncount = 2\nhalf = 8\n".into(),
+        material("neo_hookean", 1500.0, "young_modulus = 2e4"),
+        block("neo_hookean", [0.0; 3], [2.0, 0.9, 0.3], "velocity = [0.4, 0.0, -0.3]"),
+        tool("ball", [0.5, 0.47, 0.45], "sphere = { radius = 0.05 }", "\"stick\"", &driven([16.0, 0.0, 0.0])),
+    ]);
+    let over = |mut sim: Simulation, ends: &[f64]| {
+        let record = |end: &f64| sim.record(&barchan::registry(), *end).unwrap_or_else(|e| panic!("{e}"));
+        let tapes: Vec<Tape> = ends.iter().map(record).collect();
+        let end = tapes[tapes.len() - 1].end();
+        assert!(sim.ledger().counts.contains_key("particles merged"), "levels move");
+        let mut loss = Cotangents::zero(end.id.len());
+        for ((of, x), mass) in loss.position.iter_mut().zip(&end.position).zip(&end.mass) {
+            *of = [mass * x[2], 0.0, mass * x[0]];
+        }
+        let mut gradient = Gradient { particles: loss, ..Gradient::default() };
+        for tape in tapes.iter().rev() {
+            gradient = tape.pull_back(gradient.particles).unwrap_or_else(|e| panic!("{e}"));
+        }
+        gradient
+    };
+    let host = over(cpu(&text), &[0.04]);
+    are_alike("levels", &over(gpu(&text), &[0.04]), &host);
+    are_alike("levels, two tapes", &over(gpu(&text), &[0.025, 0.04]), &host);
+}

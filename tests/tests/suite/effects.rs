@@ -268,7 +268,7 @@ fn a_stage_that_a_backend_has_no_form_of_is_refused_by_name() {
             assert!(error.contains("sleep -> smooth -> P2G"), "{error}");
         }
         // Gradients are asked for in the same way.
-        assert!(backend.has_form(Stage::P2G, Form::Forward) && !backend.has_form(Stage::ADAPT, Form::Adjoint));
+        assert!(backend.has_form(Stage::P2G, Form::Forward) && !backend.has_form(Stage::SLEEP, Form::Adjoint));
         for stage in [Stage::P2G, Stage::CONTACT] {
             assert_eq!(backend.has_form(stage, Form::Adjoint), name == "cpu");
         }

@@ -1,5 +1,6 @@
 //! Gradients, against differences of runs, closed forms and the chain rule.
 
+mod levels;
 mod robots;
 mod tools;
 
@@ -244,13 +245,14 @@ fn what_gradients_do_not_go_through_is_refused_by_name() {
     let moving = |motion: &str| tool("plate", [0.1, 0.1, 0.25], &half([0.1, 0.1, 0.025]), "\"stick\"", motion);
     let free = moving("{ free = { mass = 1.0 } }").replace("plate", "other");
     let late = moving("{ velocity = { linear = [0.0, 0.0, -0.1] } }") + "from = 0.002\n";
-    let levels = "[levels]\ncount = 2\nbox = [{ min = [0.0, 0.0, 0.0], max = [0.2, 0.2, 0.2] }]\n".to_owned();
+    let levels =
+        "[levels]\ncount = 2\nsubcycle = true\nbox = [{ min = [0.0, 0.0, 0.0], max = [0.2, 0.2, 0.2] }]\n".to_owned();
     let soft = [damped("hencky", 1000.0, "young_modulus = 2e4", 1e-4), ground[1].clone(), AWAKE.into()];
     let cases = [
         (with(&[]), "'sleep'", "sleep.on = false"),
         (with(&[AWAKE.into(), late.clone()]), "tool 'plate'", "leave out from"),
         (with(&[AWAKE.into(), free, late]), "tool 'plate'", "leave out from"),
-        (with(&[AWAKE.into(), levels]), "'adapt'", "one level"),
+        (with(&[AWAKE.into(), levels]), "levels.subcycle", "set it to false"),
         (simulation(&head.with(&soft), Precision::F64), "damping", "leave it out"),
     ];
     for (mut sim, what, mend) in cases {

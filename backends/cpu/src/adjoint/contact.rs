@@ -1,16 +1,16 @@
 //! Bodies in a step backwards: they meet the nodes and particles near them as they did, and what a loss owes goes back through that.
 
-use super::{ASKED, CpuAdjoint, Nodes, Step};
+use super::{ASKED, CpuAdjoint, LevelGrid, Nodes, Step};
 use barchan_abi as abi;
 use barchan_core::account::BATCH;
 use barchan_core::batch::{Matter, Motion, Owed, Plane};
-use barchan_core::contact::Contact;
 use barchan_core::contact::adjoint::{BodyInStep, NearCotangents};
+use barchan_core::contact::{Contact, Twist};
 use barchan_core::coupling::{BodiesOwed, BodiesTold, Moved, begin_step};
 use barchan_core::gradient::{Cotangents, Gradient};
 use barchan_core::material::ErrorBuffer;
 use barchan_core::plan::PlannedMaterial;
-use barchan_core::{Aabb, Coupling, NearParticle, NodeBatch, ParticleState, Plan, Result, Vec3, Wrench};
+use barchan_core::{Aabb, Coupling, Error, NearParticle, NodeBatch, ParticleState, Plan, Result, Vec3, Wrench};
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::near::{boxes_near_block, gather_block, is_near_block};
 use std::collections::HashMap;
@@ -127,12 +127,20 @@ pub(super) struct Met {
 /// The ground that bodies meet.
 pub(super) struct Around<'a> {
     pub(super) adjoint: &'a CpuAdjoint,
+    pub(super) level: usize,
     /// The particles, and the number of each among all.
     pub(super) particles: &'a ParticleState,
     pub(super) numbers: &'a [Vec<u32>],
     /// What nodes hold, and what they hold at least if they are to move [kg].
     pub(super) sums: &'a Nodes,
     pub(super) least: f64,
+}
+
+/// Bodies begin a step.
+pub(super) fn begin(couplings: &mut [Box<dyn Coupling>], step: &Step) -> Result<()> {
+    // A device may have moved them.
+    couplings.iter_mut().for_each(|coupling| coupling.move_on_device(Moved::ByCoupling));
+    begin_step(couplings, step.time, step.dt)
 }
 
 impl Met {
@@ -149,14 +157,8 @@ impl Met {
             of_nodes: Vec::new(),
             of_particles: Vec::new(),
         };
-        if couplings.is_empty() {
-            return Ok(met);
-        }
-        // A device may have moved them.
-        couplings.iter_mut().for_each(|coupling| coupling.move_on_device(Moved::ByCoupling));
-        begin_step(couplings, step.time, step.dt)?;
         let Self { contact, nodes, of_nodes, of_particles } = &mut met;
-        contact.act(couplings, [step.dt, around.adjoint.h], |[near_nodes, near_particles], act| {
+        contact.act(couplings, [step.dt, around.grid().h], |[near_nodes, near_particles], act| {
             *of_nodes = around.gather(near_nodes, velocities, nodes);
             if nodes.is_empty() {
                 return Ok(());
@@ -174,41 +176,30 @@ impl Met {
         Ok(met)
     }
 
-    /// What is owed to nodes goes back through what bodies did to them: `owed` is that to velocities behind contact, and comes back as that before it, with what is owed to
-    /// masses. What is owed to bodies goes to the gradient, and what is owed to particles that pressed is returned.
-    pub(super) fn backwards(
+    /// What is owed to nodes of this level goes back through what bodies did to them: `owed` is that to velocities behind contact, and comes back as that before it, with what is owed to
+    /// masses. `found` is what is owed to each body, and to its twist behind contact at first.
+    fn backwards(
         &self,
-        couplings: &mut [Box<dyn Coupling>],
-        step: &Step,
+        couplings: &[Box<dyn Coupling>],
+        dt: f64,
+        (impulses, found): (&[Wrench], &mut [BodyInStep]),
         owed: &mut Nodes,
-        gradient: &mut Gradient,
     ) -> Result<Vec<Pressed>> {
+        if self.nodes.is_empty() {
+            return Ok(Vec::new());
+        }
         let velocity = |node: &usize| {
             let [x, y, z, _] = owed.get(*node);
             [x, y, z]
         };
         let mut near = NearCotangents::of(self.of_nodes.iter().map(velocity).collect(), &self.nodes);
-        let Gradient {
-            particles: Cotangents { bodies, robots, .. }, bodies: told, robots: robots_told, gravity, ..
-        } = gradient;
-        let impulses: Vec<Wrench> = bodies.iter().map(|body| body.impulse).collect();
-        let parts = parts(couplings);
-        let mut twists = Vec::with_capacity(impulses.len());
-        for (coupling, [own, own_robots]) in couplings.iter_mut().zip(&parts) {
-            let mut owed = BodiesOwed { bodies: &mut bodies[own.clone()], robots: &mut robots[own_robots.clone()] };
-            twists.extend(coupling.advance_back(step.dt, &mut owed)?);
-        }
-        let mut found = if self.nodes.is_empty() {
-            twists.iter().map(|twist| BodyInStep { twist: *twist, ..BodyInStep::default() }).collect()
-        } else {
-            self.contact.meet_back(couplings, step.dt, &self.nodes, (&impulses, &twists), &mut near)?
-        };
-        see_back(couplings, step, &parts, &mut found)?;
-        for (coupling, [own, own_robots]) in couplings.iter_mut().zip(&parts) {
-            let mut owed = BodiesOwed { bodies: &mut bodies[own.clone()], robots: &mut robots[own_robots.clone()] };
-            let mut told = BodiesTold { bodies: &mut told[own.clone()], robots: &mut robots_told[own_robots.clone()] };
-            let of_gravity = coupling.begin_back(step.time, step.dt, &found[own.clone()], &mut owed, &mut told)?;
-            (0..3).for_each(|d| gravity[d] += step.grown * of_gravity[d]);
+        let twists: Vec<Twist> = found.iter().map(|body| body.twist).collect();
+        let of_level = self.contact.meet_back(couplings, dt, &self.nodes, (impulses, &twists), &mut near)?;
+        for (body, of_level) in found.iter_mut().zip(of_level) {
+            body.position += of_level.position;
+            body.rotation += of_level.rotation;
+            body.twist = of_level.twist;
+            body.friction += of_level.friction;
         }
         for ((node, [x, y, z]), mass) in self.of_nodes.iter().zip(near.velocity).zip(near.mass) {
             *owed.get_mut(*node) = [x, y, z, mass];
@@ -218,6 +209,62 @@ impl Met {
             particles.map(|((&(number, material), position), modulus)| Pressed { number, material, position, modulus });
         Ok(pressed.filter(|one| one.position != [0.0; 3] || one.modulus != 0.0).collect())
     }
+}
+
+/// What is owed to nodes of all levels goes back through what bodies did to them, as [`Met::backwards`] says. What is owed to bodies goes to the gradient, and what is owed to particles that
+/// pressed is returned.
+pub(super) fn backwards(
+    met: &[Met],
+    couplings: &mut [Box<dyn Coupling>],
+    step: &Step,
+    owed: &mut [Nodes],
+    gradient: &mut Gradient,
+) -> Result<Vec<Pressed>> {
+    let Gradient { particles: Cotangents { bodies, robots, .. }, bodies: told, robots: robots_told, gravity, .. } =
+        gradient;
+    let impulses: Vec<Wrench> = bodies.iter().map(|body| body.impulse).collect();
+    let parts = parts(couplings);
+    one_level_each(met, couplings, &parts)?;
+    let mut found = Vec::with_capacity(impulses.len());
+    for (coupling, [own, own_robots]) in couplings.iter_mut().zip(&parts) {
+        let mut owed = BodiesOwed { bodies: &mut bodies[own.clone()], robots: &mut robots[own_robots.clone()] };
+        let twists = coupling.advance_back(step.dt, &mut owed)?.into_iter();
+        found.extend(twists.map(|twist| BodyInStep { twist, ..BodyInStep::default() }));
+    }
+    let mut pressed = Vec::new();
+    for (met, owed) in met.iter().zip(owed).rev() {
+        pressed.extend(met.backwards(couplings, step.dt, (&impulses, &mut found), owed)?);
+    }
+    see_back(couplings, step, &parts, &mut found)?;
+    for (coupling, [own, own_robots]) in couplings.iter_mut().zip(&parts) {
+        let mut owed = BodiesOwed { bodies: &mut bodies[own.clone()], robots: &mut robots[own_robots.clone()] };
+        let mut told = BodiesTold { bodies: &mut told[own.clone()], robots: &mut robots_told[own_robots.clone()] };
+        let of_gravity = coupling.begin_back(step.time, step.dt, &found[own.clone()], &mut owed, &mut told)?;
+        (0..3).for_each(|d| gravity[d] += step.grown * of_gravity[d]);
+    }
+    Ok(pressed)
+}
+
+/// Holds bodies that answer to one level: on several they find their motion one after the other, and what stood between is not kept.
+fn one_level_each(met: &[Met], couplings: &[Box<dyn Coupling>], parts: &[[Range<usize>; 2]]) -> Result<()> {
+    if met.len() == 1 {
+        return Ok(());
+    }
+    for (coupling, [own, _]) in couplings.iter().zip(parts) {
+        for group in coupling.groups() {
+            let bodies = own.start + group.bodies.start..own.start + group.bodies.end;
+            let touched = |met: &&Met| bodies.clone().any(|body| met.contact.has_met(body));
+            if met.iter().filter(touched).count() > 1 {
+                let name = coupling.bodies().get(group.bodies.start).map_or_else(String::new, |body| body.name.clone());
+                return Err(Error::Body {
+                    path: format!("coupling '{}'", coupling.name()),
+                    what: format!("gradients: '{name}' answers the ground of two levels at once, which has no adjoint"),
+                    mend: "make levels follow all of it (levels.agents), or levels.half greater".to_owned(),
+                });
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Which bodies and which robots are each coupling's.
@@ -261,9 +308,14 @@ fn see_back(
 }
 
 impl Around<'_> {
+    fn grid(&self) -> &LevelGrid {
+        &self.adjoint.grids[self.level]
+    }
+
     /// Collects the nodes in the boxes that weigh enough. Returns their numbers.
     fn gather(&self, boxes: &[Aabb], velocities: &Nodes, batch: &mut NodeBatch) -> Vec<usize> {
-        let (h, periods) = (self.adjoint.h, self.adjoint.bounds.periods());
+        let LevelGrid { h, bounds } = self.grid();
+        let (h, periods) = (*h, bounds.periods());
         batch.cell_width = h;
         batch.periods = periods.map(|cells| f64::from(cells) * h);
         let mut numbers = Vec::new();
@@ -283,11 +335,13 @@ impl Around<'_> {
 
     /// Collects the particles in the boxes beside nodes of the batch, whose numbers are given. Returns the number of each, and its material.
     fn gather_particles(&self, boxes: &[Aabb], of_nodes: &[usize], batch: &mut NodeBatch) -> Vec<(usize, usize)> {
-        let (h, periods) = (self.adjoint.h, self.adjoint.bounds.periods());
+        let LevelGrid { h, bounds } = self.grid();
+        let (h, periods) = (*h, bounds.periods());
         let in_batch: HashMap<usize, u32> = of_nodes.iter().zip(0..).map(|(node, number)| (*node, number)).collect();
         let mut boxes_near: HashMap<[i32; 3], Vec<Aabb>> = HashMap::new();
         let mut found = Vec::new();
-        for (list, numbers) in self.particles.lists.iter().zip(self.numbers) {
+        let all = self.particles.lists.iter().zip(self.numbers);
+        for (list, numbers) in all.filter(|(list, _)| list.level as usize == self.level) {
             for (i, number) in numbers.iter().enumerate() {
                 let (cell, position) = (list.cell[i], list.position(i));
                 let key = block::of_cell(cell);
@@ -318,7 +372,7 @@ impl Around<'_> {
 
     /// The numbers in a batch of the eight nodes from one on, z fastest.
     fn cube(&self, first: [i32; 3], in_batch: &HashMap<usize, u32>) -> [u32; 8] {
-        let bounds = &self.adjoint.bounds;
+        let bounds = &self.grid().bounds;
         std::array::from_fn(|n| {
             let corner = [n / 4, n / 2 % 2, n % 2];
             let node: [i32; 3] = std::array::from_fn(|d| {

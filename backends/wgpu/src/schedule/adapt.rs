@@ -11,12 +11,14 @@ use crate::schedule::Dispatch;
 use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::{Behind, Part};
 use crate::worlds::sleep;
-use crate::worlds::world::Level;
-use barchan_core::{Coupling, ParticleList, Regions, Result};
+use crate::worlds::world::{Level, World};
+use barchan_core::{Adapted, Coupling, ParticleList, Regions, Result};
 use barchan_grid::adapt::{Candidates, CopiedLevel};
+use barchan_grid::archive::Reach;
 use barchan_grid::block;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Arc;
 use std::time::Instant;
 
 /// Vectors that the device writes for each block whose cells are at least half full: the block, and bits.
@@ -96,9 +98,25 @@ impl WgpuBatch {
             let come: Vec<ParticleList> = levels.into_iter().flat_map(CopiedLevel::come).collect();
             self.exchange(w, &gone, &come)?;
         }
+        self.worlds[w].adapted = true;
         self.adapt_seconds.0 += begun.elapsed().as_secs_f64();
         self.adapt_seconds.1 += 1;
         Ok(())
+    }
+
+    /// What became of a world's levels and particles before the steps that it has taken last, if anything did.
+    pub(crate) fn take_adapted(&mut self, w: usize) -> Option<Arc<Adapted>> {
+        let World { adapt, adapted, levels, reach, .. } = &mut self.worlds[w];
+        let changes = adapt.take_changes();
+        std::mem::take(adapted).then(|| {
+            Arc::new(Adapted {
+                boxes: adapt.regions.boxes().to_vec(),
+                live: reach.as_ref().map(Reach::live).unwrap_or_default(),
+                sorted: vec![true; levels.len()],
+                carried: true,
+                changes,
+            })
+        })
     }
 
     /// Particles of a world that a round may concern, and which cells are full if any may merge.

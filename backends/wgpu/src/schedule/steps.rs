@@ -262,7 +262,13 @@ impl WgpuBatch {
             .iter_mut()
             .flat_map(|world_step| world_step.couplings.iter_mut())
             .for_each(|coupling| coupling.move_on_device(Moved::ByCoupling));
-        let reports = taken?;
+        let mut reports = taken?;
+        for (world_step, reports) in world_steps.iter().zip(&mut reports) {
+            let adapted = self.take_adapted(world_step.world);
+            if let Some(first) = reports.as_mut().ok().and_then(|reports| reports.first_mut()) {
+                first.adapted = adapted;
+            }
+        }
         for (world_step, _) in world_steps.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
             self.follow_stiffness(world_step.world)?;
         }

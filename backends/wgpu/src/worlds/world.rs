@@ -100,6 +100,8 @@ pub(crate) struct World {
     pub(crate) levels: Vec<Level>,
     /// Where they are, and who is split and merged.
     pub(crate) adapt: Adapt,
+    /// Has that been done since the last step?
+    pub(crate) adapted: bool,
     /// Soft bodies that they follow.
     pub(crate) softs: Softs,
     /// What is live, and the archive of what was, if not the whole world is.
@@ -202,6 +204,7 @@ impl World {
             scene: plan.scene.clone(),
             levels: (0..plan.cell_widths.len()).map(|level| Level::new(plan, level)).collect(),
             adapt: Adapt::new(plan),
+            adapted: false,
             softs: Softs::new(softs(plan).into_iter()),
             reach: plan.terrain.clone().map(Reach::new),
             contact: None,

@@ -76,7 +76,7 @@ impl Engine for Flight {
         }
         self.steps += 1;
         self.seconds += clock.elapsed().as_secs_f64();
-        Ok(StepReport { dt, sorted: false, max_speed, wrenches: None, bodies: None })
+        Ok(StepReport { dt, sorted: false, max_speed, wrenches: None, bodies: None, adapted: None })
     }
     fn download(&self) -> ParticleState {
         self.particles.clone()

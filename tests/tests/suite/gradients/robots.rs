@@ -34,6 +34,8 @@ struct Case<'a> {
     parts: &'a dyn Fn(Change) -> String,
     /// What each is told before it starts.
     told: &'a dyn Fn(Change) -> Vec<(&'static str, Command)>,
+    /// Do levels follow them, in wider ground?
+    nested: bool,
 }
 
 impl Case<'_> {
@@ -46,11 +48,18 @@ impl Case<'_> {
         let shares = [1.0 + change.of("mass of the base") / 2.0, 1.0 + change.of("mass of a link") / 0.4];
         let urdf = format!("{:?}", hopper(folder.path(), shares));
         let gravity = [0.6, 0.0, -9.81 - change.of("gravity")];
-        let head = Head { gravity, ..Head::cells(H, [8, 8, 12], self.walls) };
+        let (world, size, levels) = match self.nested {
+            false => ([8, 8, 12], [5.0, 5.0, 3.0], ""),
+            true => ([28, 20, 16], [27.0, 19.0, 3.0], "[levels]\ncount = 2\nhalf = 8\n"),
+        };
+        let head = Head { gravity, ..Head::cells(H, world, self.walls) };
         let parts = (self.parts)(change).replace("HOPPER", &urdf);
-        let ground = block("neo_hookean", [0.0; 3], [5.0 * H, 5.0 * H, 3.0 * H], "");
+        let ground = block("neo_hookean", [0.0; 3], size.map(|cells| cells * H), "");
         let jelly = material("neo_hookean", 1000.0, "young_modulus = 2e4, poisson_ratio = 0.3");
-        let mut sim = simulation(&head.time("step = 1e-3").with(&[AWAKE.into(), jelly, ground, parts]), Precision::F64);
+        let mut sim = simulation(
+            &head.time("step = 1e-3").with(&[AWAKE.into(), levels.into(), jelly, ground, parts]),
+            Precision::F64,
+        );
         let mut state = sim.particles();
         let mut noise = Noise::new(9);
         for (l, i) in by_number(&state) {
@@ -130,7 +139,7 @@ fn joints(all: &[f64]) -> f64 {
 }
 
 /// A hopper in the ground, at a height [m], told all that a robot can be told.
-fn hop(walls: &str, height: f64, hip: f64, target: f64, fixed: bool) {
+fn hop(walls: &str, height: f64, [hip, target]: [f64; 2], fixed: bool, nested: bool) {
     let parts = |change: Change| {
         let friction = 0.3 + change.of("friction");
         let [kp, kd] = [("kp", 30.0), ("kd", 0.4)].map(|(name, gain)| gain + change.of(name));
@@ -177,22 +186,28 @@ fn hop(walls: &str, height: f64, hip: f64, target: f64, fixed: bool) {
         changes.push(by("angular velocity", 1e-5, |found| inner(found.particles.bodies[0].angular_velocity, WAY)));
         changes.push(by("mass of the base", 1e-5, |found| found.bodies[0].mass));
     }
-    Case { walls, parts: &parts, told: &told }.compare(&changes);
+    Case { walls, parts: &parts, told: &told, nested }.compare(&changes);
 }
 
 /// Physics: gradients are derivatives through a robot that sinks in and pushes off, free or on a fixed base.
 #[test]
 fn gradients_go_through_robots() {
     for fixed in [false, true] {
-        hop("z_min = \"stick\"\n", 0.27, 0.1, 0.2, fixed);
+        hop("z_min = \"stick\"\n", 0.27, [0.1, 0.2], fixed, false);
     }
+}
+
+/// Likewise where levels follow its foot, which is at the rim of the finest one.
+#[test]
+fn gradients_go_through_robots_on_levels() {
+    hop("z_min = \"stick\"\n", 0.27, [0.1, 0.2], false, true);
 }
 
 /// Likewise where a joint is at its stop, and told to go beyond it, and where the foot stands on hard ground below the soft one.
 #[test]
 fn gradients_go_through_stops_and_hard_ground() {
-    hop("z_min = \"stick\"\n", 0.27, 0.4195, 0.7, false);
-    hop("z_min = { separate = { friction = 0.3 } }\n", 0.195, 0.1, 0.2, false);
+    hop("z_min = \"stick\"\n", 0.27, [0.4195, 0.7], false, false);
+    hop("z_min = { separate = { friction = 0.3 } }\n", 0.195, [0.1, 0.2], false, false);
 }
 
 /// Likewise through free tools that touch one another, and a plate that moves as it is told and carries one.
@@ -244,7 +259,7 @@ fn gradients_go_through_tools_that_touch() {
         by("plate's friction", 1e-5, |found| found.bodies[PLATE].friction),
         by("mass", 1e-5, |found| found.bodies[BALL].mass),
     ];
-    Case { walls: "z_min = \"stick\"\n", parts: &parts, told: &told }.compare(&changes);
+    Case { walls: "z_min = \"stick\"\n", parts: &parts, told: &told, nested: false }.compare(&changes);
 }
 
 /// Likewise through a piston that a force pushes against a free cube.
@@ -275,7 +290,7 @@ fn gradients_go_through_what_a_force_pushes_beside_others() {
         if own_mass {
             changes.push(by("mass", 1e-5, |found| found.bodies[0].mass));
         }
-        Case { walls: "z_min = \"stick\"\n", parts: &parts, told: &|_| Vec::new() }.compare(&changes);
+        Case { walls: "z_min = \"stick\"\n", parts: &parts, told: &|_| Vec::new(), nested: false }.compare(&changes);
     }
 }
 
@@ -293,7 +308,7 @@ fn gradients_are_those_of_the_side_that_was_taken() {
             let position = Some([0.12, 0.13, 0.22 + gap + change.of("height")]);
             vec![("ball", Command::Place(Placement { position, ..Placement::default() }))]
         };
-        let case = Case { walls: "z_min = \"stick\"\n", parts: &parts, told: &told };
+        let case = Case { walls: "z_min = \"stick\"\n", parts: &parts, told: &told, nested: false };
         // Over the first step alone: behind it they rest on one another.
         let tape = |by: f64| case.tape_of(1, Change("height", by));
         let (_, loss) = Case::loss(&tape(0.0));
