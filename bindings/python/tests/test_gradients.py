@@ -247,6 +247,34 @@ def test_a_body_that_spins_owes_to_its_affine_matrices_too():
     assert found == pytest.approx((height(0.5 + 1e-4)[0] - height(0.5 - 1e-4)[0]) / 2e-4, rel=1e-5)
 
 
+def test_gradients_go_through_levels_whose_particles_split():
+    ball = {"name": "ball", "shape": {"sphere": {"radius": 0.05}}, "position": [0.5, 0.45, 0.45], "contact": "stick", "motion": {"velocity": {"linear": [16, 0, 0]}}}
+    scene = {
+        **JELLY,
+        "world": {"cell": 0.05, "min": [0, 0, 0], "max": [2.2, 1.0, 0.7], "walls": {"z_min": "stick", "x_max": "slip"}},
+        "levels": {"count": 2, "half": 8},
+        "body": [{"material": "jelly", "shape": {"box": {"min": [0.02, 0.02, 0], "max": [2.2, 0.9, 0.3]}}, "velocity": [0.3, 0, -0.4]}],
+        "tool": [ball],
+    }
+
+    def moment(speed=0.0, **where):
+        simulation = barchan.Simulation(scene, precision="f64", **where)
+        start = simulation.particles()
+        faster = start.velocity + [0.0, 0.0, speed] * start.position[:, :1]
+        simulation.set_particles(start.id, velocity=faster)
+        tape = simulation.record(0.03)
+        return tape.end.mass @ tape.end.position[:, 2], tape
+
+    _, tape = moment()
+    assert len(tape.end) > len(tape.start) and tape.end.mass.sum() == pytest.approx(tape.start.mass.sum(), rel=1e-12)
+    loss = np.zeros((len(tape.end), 3))
+    loss[:, 2] = tape.end.mass
+    gradient = tape.pull_back(position=loss)
+    assert gradient.velocity.shape == tape.start.position.shape
+    found = gradient.velocity[:, 2] @ tape.start.position[:, 0]
+    assert found == pytest.approx(difference(lambda by: moment(by)[0], 1e-4), rel=1e-5)
+
+
 def test_worlds_of_a_batch_are_recorded_one_by_one():
     worlds = barchan.Simulation(JELLY, worlds=3, precision="f64")
     tape = worlds.record(0.02, world=1)
@@ -258,8 +286,8 @@ def test_worlds_of_a_batch_are_recorded_one_by_one():
 
 
 def test_what_cannot_be_is_refused_by_name(press):
-    levels = barchan.Simulation(press, overrides={"sleep.on": False, "levels.count": 2})
-    with pytest.raises(barchan.PluginError, match="use one level"):
+    levels = barchan.Simulation(press, overrides={"sleep.on": False, "levels.count": 2, "levels.subcycle": True})
+    with pytest.raises(barchan.BodyError, match="levels.subcycle.*set it to false"):
         levels.record(0.01)
     with pytest.raises(barchan.PluginError, match="sleep.on = false"):
         barchan.Simulation(JELLY, overrides={"sleep.on": True}).record(0.01)
