@@ -316,9 +316,6 @@ fn check(plan: &Plan, backwards: &dyn Backend) -> Result<()> {
                 mend: "declare fewer",
             });
         }
-        if planned.damping.is_some() {
-            return Err(refused("material.damping", "damping has no adjoint yet", "leave it out"));
-        }
     }
     if plan.schedule.slots > 1 {
         return Err(refused("levels.subcycle", "steps of each level's own have no adjoint yet", "set it to false"));

@@ -9,6 +9,7 @@
 #![expect(non_snake_case, reason = "symbols follow Hu et al. 2018")]
 
 mod contact;
+mod damping;
 mod rims;
 
 use barchan_core::account::BATCH;
@@ -27,6 +28,7 @@ use barchan_grid::limits::{LEAST_MASS, MAX_DEFORMATION};
 use barchan_grid::transfer::adjoint::{AROUND, Affine, Stencil, deformed_back};
 use barchan_grid::transfer::{ENTRIES, deformed};
 use contact::{Around, Ground, Met};
+use damping::Seen;
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use rims::{Rim, blocks_of};
@@ -48,6 +50,8 @@ pub(crate) struct CpuAdjoint {
     replay: Replay,
     scene: Scene,
     ground: Ground,
+    /// How each material's damping changes with its parameters.
+    damping: Vec<damping::Slopes>,
 }
 
 /// What a level's grid is like.
@@ -148,7 +152,23 @@ impl Place {
 struct Deformed {
     /// Before each part, and its trial.
     before: Vec<[Vec<Plane<f64, BATCH>>; 3]>,
+    /// Strain behind the last part.
+    after: Vec<Plane<f64, BATCH>>,
     kirchhoff: [Plane<f64, BATCH>; 6],
+}
+
+impl Deformed {
+    /// A particle's strain before and after flow in the last part.
+    fn numbers(&self, i: usize) -> [[f64; 9]; 2] {
+        let trial = self.before.last().map_or(&[][..], |[_, trial, _]| trial);
+        [values(trial, i), values(&self.after, i)]
+    }
+
+    /// What damping sees of it.
+    fn seen<'a>(&self, i: usize, numbers: &'a [[f64; 9]; 2], dt: f64, rates: &[Plane<f64, BATCH>; 9]) -> Seen<'a> {
+        let [trial, strain] = numbers.each_ref().map(|all| &all[..self.after.len()]);
+        Seen { dt, rates: std::array::from_fn(|c| rates[c].0[i] * dt), trial, strain }
+    }
 }
 
 /// How a piece gave to nodes.
@@ -221,6 +241,7 @@ impl CpuAdjoint {
             replay: Replay::new(plan),
             scene: plan.scene.clone(),
             ground: Ground::new(plan)?,
+            damping: damping::slopes(plan)?,
         })
     }
 
@@ -248,7 +269,14 @@ impl CpuAdjoint {
             let status = planned.material.update(&matter, Some(motion), answer, &mut error).expect(ASKED);
             error.check(status, &planned.material, "update_f64", |i| piece.id(i))?;
         }
-        Ok(Deformed { before, kirchhoff })
+        let mut made = Deformed { before, after: strain, kirchhoff };
+        if let Some(damping) = planned.damping.filter(|_| dt > 0.0) {
+            for i in 0..BATCH {
+                let stress = made.seen(i, &made.numbers(i), dt, &vel_grad).stress(damping);
+                made.kirchhoff.iter_mut().zip(stress).for_each(|(plane, stress)| plane.0[i] += stress);
+            }
+        }
+        Ok(made)
     }
 
     /// The affine matrices of a piece, plane by plane.
@@ -473,6 +501,22 @@ impl CpuAdjoint {
         let mut strain: Vec<_> = (0..planes).map(|c| of(&|n| gradient.particles.strain[n][c])).collect();
         let mut state: Vec<_> = (0..states).map(|c| of(&|n| gradient.particles.state[n][c])).collect();
         let mut parameters = vec![0.0; planned.parameters.len()];
+        // Only the last part's stress is damped.
+        let mut by_damping: Option<Vec<Plane<f64, BATCH>>> = None;
+        if let Some(damping) = planned.damping.filter(|_| dt > 0.0) {
+            let of_trial = by_damping.insert(vec![Plane::default(); planes]);
+            for (i, back) in backs.iter_mut().enumerate() {
+                let owed = kirchhoff.each_ref().map(|plane| plane.0[i]);
+                let of = made.seen(i, &made.numbers(i), dt, &vel_grad).stress_back(damping, owed);
+                (0..9).for_each(|c| back.affine[c] += dt * of.rates[c]);
+                strain.iter_mut().zip(of.strain).for_each(|(plane, owed)| plane.0[i] += owed);
+                of_trial.iter_mut().zip(of.trial).for_each(|(plane, owed)| plane.0[i] = owed);
+                let slopes = &self.damping[piece.list.material as usize];
+                for (sum, slope) in parameters.iter_mut().zip(slopes) {
+                    *sum += of.damping.lambda * slope.lambda + of.damping.mu * slope.mu;
+                }
+            }
+        }
         for [before, trial, old] in made.before.iter().rev() {
             let mut of_trial = vec![Plane::default(); planes];
             let mut of_rates = [Plane::default(); 9];
@@ -491,6 +535,9 @@ impl CpuAdjoint {
             let motion = Motion { dt, vel_grad: &vel_grad };
             let status = planned.material.pull_back(&matter, motion, owed, &mut error).expect(ASKED);
             error.check(status, &planned.material, "update_adj_f64", |i| piece.id(i))?;
+            for (of_trial, damped) in of_trial.iter_mut().zip(by_damping.take().into_iter().flatten()) {
+                of_trial.0.iter_mut().zip(damped.0).for_each(|(sum, owed)| *sum += owed);
+            }
             for (i, back) in backs.iter_mut().enumerate() {
                 let G = vel_grad.map(|plane| plane.0[i] * dt);
                 let (own, owed) = (values(before, i), values(&of_trial, i));

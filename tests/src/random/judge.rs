@@ -244,7 +244,6 @@ impl Judge {
         scene.coupling = Vec::new();
         scene.tool.retain(|tool| tool.from <= 0.0 && tool.until.is_none());
         (scene.inflow, scene.outflow, scene.probe, scene.task) = (Vec::new(), Vec::new(), Vec::new(), None);
-        scene.material.iter_mut().for_each(|material| material.damping = 0.0);
         (scene.levels.subcycle, scene.sleep.on) = (false, Some(false));
         (scene.time.step, scene.time.over_bound) = (Some(0.25 * dt), OverBound::Substep);
         let start = |threads| Simulation::new(&self.registry, &scene, &self.options(Precision::F64, threads));
