@@ -29,6 +29,7 @@ use barchan_core::scene::{self, Contact};
 use barchan_core::{NodeBatch, Result, Wrench};
 use glam::DVec3;
 use nalgebra::{DMatrix, DVector};
+use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
 
@@ -580,31 +581,33 @@ impl Robots {
         let parts = self.parts(dt, found, &multipliers);
         let of_own = |together| Meetings::new(together, &self.robots, &multipliers);
         let meetings: Vec<Meetings<'_>> = self.together.iter().map(of_own).collect();
-        let mut begun = self.begun(&around)?;
+        let begun = self.begun(&around)?;
         let mut of_gravity = DVec3::ZERO;
         for (r, number) in self.without_tools().into_iter().enumerate() {
             let own = self.bodies_of(r, 0);
             let meeting = meetings.iter().find(|one| one.together.robots.contains(&r));
-            let mut value = |number: Number, by: f64| -> Option<f64> {
+            let value = |begun: &mut [Robot], number: Number, by: f64| -> Option<f64> {
                 let mut tried = begun[r].clone();
                 tried.vary(number, by);
                 tried.begin_again(&around)?;
                 std::mem::swap(&mut tried, &mut begun[r]);
-                let of_others = meeting.map_or(Some(0.0), |one| one.value(&begun, around.span));
+                let of_others = meeting.map_or(Some(0.0), |one| one.value(begun, around.span));
                 std::mem::swap(&mut tried, &mut begun[r]);
                 Some(of_others? + tried.value(&parts[r])?)
             };
             let robot = &self.robots[r];
-            let mut slope = |number: Number| {
-                let found = slope(DIFFERENCE * robot.scale(number), |by| value(number, by));
-                found.ok_or_else(|| self.rough(r))
+            let slope = |begun: &mut Vec<Robot>, number: Number| {
+                let found = slope(DIFFERENCE * robot.scale(number), |by| value(begun, number, by));
+                Ok((number, found.ok_or_else(|| self.rough(r))?))
             };
+            // Side by side: none depends on another.
+            let numbers = robot.numbers().into_par_iter().map_init(|| begun.clone(), slope);
+            let slopes = numbers.collect::<Result<Vec<(Number, f64)>>>()?;
             let mut base = BodyCotangents::default();
             let PoseCotangent { position, rotation } = &mut base.pose;
             let mut joints = RobotCotangents::zero(robot.model.drives.len());
             let mut of_mass = 0.0;
-            for number in robot.numbers() {
-                let found = slope(number)?;
+            for (number, found) in slopes {
                 match number {
                     Number::Place(axis) => position[axis] = found,
                     Number::Turn(axis) => rotation[axis] = found,
