@@ -14,7 +14,7 @@ mod rims;
 
 use barchan_core::account::BATCH;
 use barchan_core::batch::{Answer, Matter, Motion, Owed, Plane};
-use barchan_core::gradient::{Gradient, MOST_STATES, by_number};
+use barchan_core::gradient::{Gradient, MOST_STATES};
 use barchan_core::material::ErrorBuffer;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{
@@ -809,8 +809,12 @@ impl Piece<'_> {
 /// The place of each particle of each list among all, in the order of their numbers.
 fn numbers(particles: &ParticleState) -> Vec<Vec<u32>> {
     let mut numbers: Vec<Vec<u32>> = particles.lists.iter().map(|list| vec![0; list.len()]).collect();
-    for (number, (l, i)) in by_number(particles).into_iter().enumerate() {
-        numbers[l][i] = number as u32;
+    let lists = particles.lists.iter().enumerate();
+    let mut all: Vec<(u64, u32, u32)> =
+        lists.flat_map(|(l, list)| list.id.iter().zip(0..).map(move |(id, i)| (*id, l as u32, i))).collect();
+    all.par_sort_unstable();
+    for (number, (_, l, i)) in all.into_iter().enumerate() {
+        numbers[l as usize][i as usize] = number as u32;
     }
     numbers
 }
