@@ -152,8 +152,8 @@ impl Place {
 struct Deformed {
     /// Before each part, and its trial.
     before: Vec<[Vec<Plane<f64, BATCH>>; 3]>,
-    /// Strain behind the last part.
-    after: Vec<Plane<f64, BATCH>>,
+    /// Strain and history behind the last part.
+    after: [Vec<Plane<f64, BATCH>>; 2],
     kirchhoff: [Plane<f64, BATCH>; 6],
 }
 
@@ -161,12 +161,12 @@ impl Deformed {
     /// A particle's strain before and after flow in the last part.
     fn numbers(&self, i: usize) -> [[f64; 9]; 2] {
         let trial = self.before.last().map_or(&[][..], |[_, trial, _]| trial);
-        [values(trial, i), values(&self.after, i)]
+        [values(trial, i), values(&self.after[0], i)]
     }
 
     /// What damping sees of it.
     fn seen<'a>(&self, i: usize, numbers: &'a [[f64; 9]; 2], dt: f64, rates: &[Plane<f64, BATCH>; 9]) -> Seen<'a> {
-        let [trial, strain] = numbers.each_ref().map(|all| &all[..self.after.len()]);
+        let [trial, strain] = numbers.each_ref().map(|all| &all[..self.after[0].len()]);
         Seen { dt, rates: std::array::from_fn(|c| rates[c].0[i] * dt), trial, strain }
     }
 }
@@ -269,7 +269,7 @@ impl CpuAdjoint {
             let status = planned.material.update(&matter, Some(motion), answer, &mut error).expect(ASKED);
             error.check(status, &planned.material, "update_f64", |i| piece.id(i))?;
         }
-        let mut made = Deformed { before, after: strain, kirchhoff };
+        let mut made = Deformed { before, after: [strain, state], kirchhoff };
         if let Some(damping) = planned.damping.filter(|_| dt > 0.0) {
             for i in 0..BATCH {
                 let stress = made.seen(i, &made.numbers(i), dt, &vel_grad).stress(damping);
@@ -603,7 +603,23 @@ impl CpuAdjoint {
         }
     }
 
-    /// The strain that lags behind, and no more.
+    /// Particles whose strain lags behind no more.
+    fn carry(&self, before: &ParticleState, steps: &[Step]) -> Result<ParticleState> {
+        let numbers = numbers(before);
+        let pieces = pieces(before, &numbers, |_| true);
+        let one = |piece: &Piece<'_>| self.deform(piece, &steps[piece.list.level as usize]);
+        let made: Vec<Deformed> = pieces.par_iter().map(one).collect::<Result<_>>()?;
+        let mut carried = before.clone();
+        for (piece, Deformed { after: [strain, state], .. }) in pieces.iter().zip(made) {
+            let list = piece.list.level as usize * self.materials.len() + piece.list.material as usize;
+            let list = &mut carried.lists[list];
+            let planes = list.strain.iter_mut().zip(strain).chain(list.state.iter_mut().zip(state));
+            planes.for_each(|(to, from)| to[piece.first..][..piece.count].copy_from_slice(&from.0[..piece.count]));
+        }
+        Ok(carried)
+    }
+
+    /// The adjoint of that, and no more.
     fn carry_back(&self, before: &ParticleState, steps: &[Step], gradient: &mut Gradient) -> Result<()> {
         let numbers = numbers(before);
         let pieces = pieces(before, &numbers, |_| true);
@@ -856,16 +872,18 @@ impl Adjoint for CpuAdjoint {
             let particles = (before, before.sort.as_ref());
             return this.pool.install(|| this.back(particles, couplings, &place, &steps, gradient));
         };
-        let carrying = steps.clone();
-        if adapted.carried {
+        // Who has brought strain up to date before levels changed did so before anything else.
+        let carrying = (adapted.carried && before.strain_dt > 0.0).then(|| steps.clone());
+        if carrying.is_some() {
             steps.iter_mut().for_each(|step| (step.strain_dt, step.parts) = (0.0, 1));
         }
         this.pool.install(|| {
-            let replayed = this.replay.forwards(before, adapted)?;
+            let carried = carrying.as_ref().map(|steps| this.carry(before, steps)).transpose()?;
+            let replayed = this.replay.forwards(carried.as_ref().unwrap_or(before), adapted)?;
             let particles = (&replayed.after, before.sort.as_ref());
             this.back(particles, couplings, &place, &steps, gradient)?;
             this.replay.backwards(before, &replayed, &mut gradient.particles);
-            if adapted.carried { this.carry_back(before, &carrying, gradient) } else { Ok(()) }
+            carrying.map_or(Ok(()), |steps| this.carry_back(before, &steps, gradient))
         })
     }
 
