@@ -70,8 +70,8 @@ pub fn each_mean(node: usize, mut f: impl FnMut(usize, f64)) {
     const ALONG: [(usize, [f64; 3]); 4] =
         [(0, [NEAR, OWN, FAR]), (0, [FAR, OWN, NEAR]), (1, [NEAR, OWN, FAR]), (1, [FAR, OWN, NEAR])];
     let [(x, of_x), (y, of_y), (z, of_z)] = [node / 16, node / 4 % 4, node % 4].map(|at| ALONG[at]);
-    for k in 0..27 {
-        let (i, j, k) = (k / 9, k / 3 % 3, k % 3);
+    for n in 0..27 {
+        let (i, j, k) = (n / 9, n / 3 % 3, n % 3);
         f((x + i) * 16 + (y + j) * 4 + z + k, of_x[i] * of_y[j] * of_z[k]);
     }
 }

@@ -609,7 +609,7 @@ fn cannot_go_back(coupling: &dyn Coupling, what: String) -> Error {
 
 /// Particles with strain and history of a step of `dt` before, which C has yet to change.
 fn lagging(now: &ParticleState, before: &ParticleState, dt: f64) -> ParticleState {
-    let mut lagging = ParticleState { kept: None, sort: None, strain_dt: dt, ..now.clone() };
+    let mut lagging = ParticleState { kept: None, strain_dt: dt, ..now.clone() };
     for ((l, i), (m, j)) in by_number(now).into_iter().zip(by_number(before)) {
         let (to, from) = (&mut lagging.lists[l], &before.lists[m]);
         let planes = to.strain.iter_mut().zip(&from.strain).chain(to.state.iter_mut().zip(&from.state));

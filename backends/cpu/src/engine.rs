@@ -618,6 +618,8 @@ impl<T: Scalar> CpuEngine<T> {
         }
         // A step that failed has given nothing.
         self.levels.iter_mut().for_each(Level::forget_walls);
+        // Nor is what became of its levels the next one's.
+        drop(self.adapt.take_changes());
         let before = if ground { self.follow_agents(couplings) } else { None };
         let sorted = ground && self.keep_in_order(time, before.as_ref(), couplings)?;
         let adapted = (sorted && self.levels.len() > 1).then(|| {

@@ -223,9 +223,9 @@ impl Simulation {
 
     /// Steps a world until `seconds` later and remembers the steps: a `Tape`, through which gradients go back. The others wait.
     ///
-    /// Gradients go through every law, walls, tools, robots, and one level of cells; `precision="f64"` makes them as exact as they can be. Ctrl-C ends it, without a tape.
+    /// Gradients go through every law, walls, tools, robots, nested levels and unbounded ground; `precision="f64"` makes them as exact as they can be. Ctrl-C ends it, without a tape.
     ///
-    /// Raises `PluginError` for what has no adjoint yet, by name (nested levels, sleep, fields), `BodyError` for tools that appear or vanish, damping, sources and sinks, and if particles left the world on the way;
+    /// Raises `PluginError` for what has no adjoint yet, by name (sleep, fields), `BodyError` for `levels.subcycle`, tools that appear or vanish, sources and sinks, and if particles left the world on the way;
     /// else as `step`.
     #[pyo3(signature = (seconds, *, world=0))]
     fn record(&self, py: Python<'_>, seconds: f64, world: usize) -> PyResult<Tape> {

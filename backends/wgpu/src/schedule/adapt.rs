@@ -12,7 +12,7 @@ use crate::schedule::batch::WgpuBatch;
 use crate::schedule::submission::{Behind, Part};
 use crate::worlds::sleep;
 use crate::worlds::world::{Level, World};
-use barchan_core::{Adapted, Coupling, ParticleList, Regions, Result};
+use barchan_core::{Adapted, Coupling, ParticleList, Regions, Result, StepReport};
 use barchan_grid::adapt::{Candidates, CopiedLevel};
 use barchan_grid::archive::Reach;
 use barchan_grid::block;
@@ -104,19 +104,23 @@ impl WgpuBatch {
         Ok(())
     }
 
-    /// What became of a world's levels and particles before the steps that it has taken last, if anything did.
-    pub(crate) fn take_adapted(&mut self, w: usize) -> Option<Arc<Adapted>> {
+    /// Reports what became of a world's levels and particles before the steps that it has taken: levels change before the first of them, and particles are sorted before any.
+    pub(crate) fn report_levels(&mut self, w: usize, reports: &mut [StepReport]) {
         let World { adapt, adapted, levels, reach, .. } = &mut self.worlds[w];
-        let changes = adapt.take_changes();
-        std::mem::take(adapted).then(|| {
-            Arc::new(Adapted {
-                boxes: adapt.regions.boxes().to_vec(),
-                live: reach.as_ref().map(Reach::live).unwrap_or_default(),
-                sorted: vec![true; levels.len()],
-                carried: true,
-                changes,
-            })
-        })
+        let (changes, adapted) = (adapt.take_changes(), std::mem::take(adapted));
+        let now = |changes| Adapted {
+            boxes: adapt.regions.boxes().to_vec(),
+            live: reach.as_ref().map(Reach::live).unwrap_or_default(),
+            sorted: vec![true; levels.len()],
+            carried: true,
+            changes,
+        };
+        for report in reports.iter_mut().filter(|report| report.sorted && levels.len() > 1) {
+            report.adapted = Some(Arc::new(now(Vec::new())));
+        }
+        if let Some(first) = reports.first_mut().filter(|_| adapted) {
+            first.adapted = Some(Arc::new(now(changes)));
+        }
     }
 
     /// Particles of a world that a round may concern, and which cells are full if any may merge.

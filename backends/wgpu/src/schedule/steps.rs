@@ -264,10 +264,7 @@ impl WgpuBatch {
             .for_each(|coupling| coupling.move_on_device(Moved::ByCoupling));
         let mut reports = taken?;
         for (world_step, reports) in world_steps.iter().zip(&mut reports) {
-            let adapted = self.take_adapted(world_step.world);
-            if let Some(first) = reports.as_mut().ok().and_then(|reports| reports.first_mut()) {
-                first.adapted = adapted;
-            }
+            self.report_levels(world_step.world, reports.as_deref_mut().unwrap_or_default());
         }
         for (world_step, _) in world_steps.iter().zip(&reports).filter(|(_, report)| report.is_ok()) {
             self.follow_stiffness(world_step.world)?;
