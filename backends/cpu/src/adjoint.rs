@@ -12,6 +12,7 @@ mod contact;
 mod damping;
 mod rims;
 
+use barchan_abi as abi;
 use barchan_core::account::BATCH;
 use barchan_core::batch::{Answer, Matter, Motion, Owed, Plane};
 use barchan_core::gradient::{Gradient, MOST_STATES};
@@ -758,6 +759,42 @@ struct OnLevel {
     /// Where they end at a coarser level.
     rim: Option<Rim>,
     pairs: Vec<Pair>,
+}
+
+/// How numbers that a material has change with each of its differentiable parameters, by differences to the fourth order: of so many steps, the first so long relative to the parameter and each
+/// half the one before, the two are taken that agree best. Where there are no numbers, a step is passed over.
+fn parameter_slopes<const N: usize>(
+    planned: &PlannedMaterial,
+    (longest, steps): (f64, i32),
+    numbers: impl Fn(&[f64]) -> Result<Option<[f64; N]>>,
+) -> Result<Vec<[f64; N]>> {
+    let mut slopes = vec![[0.0; N]; planned.parameters.len()];
+    for (i, slope) in slopes.iter_mut().enumerate() {
+        if planned.material.parameters[i].flags & abi::BARCHAN_PARAM_DIFFERENTIABLE == 0 {
+            continue;
+        }
+        let value = planned.parameters[i];
+        let scale = if value == 0.0 { 1.0 } else { value.abs() };
+        let at = |by: f64| {
+            let mut parameters = planned.parameters.clone();
+            parameters[i] = value + by;
+            numbers(&parameters)
+        };
+        let difference = |k: i32| -> Result<Option<[f64; N]>> {
+            let step = longest * scale * 0.5f64.powi(k);
+            let (Some(a), Some(b), Some(c), Some(d)) = (at(step)?, at(-step)?, at(2.0 * step)?, at(-2.0 * step)?)
+            else {
+                return Ok(None);
+            };
+            Ok(Some(std::array::from_fn(|n| (8.0 * (a[n] - b[n]) - (c[n] - d[n])) / (12.0 * step))))
+        };
+        let found: Vec<[f64; N]> = (0..steps).filter_map(|k| difference(k).transpose()).collect::<Result<_>>()?;
+        let apart = |pair: &[[f64; N]]| (0..N).map(|n| (pair[0][n] - pair[1][n]).abs()).sum::<f64>();
+        if let Some([_, best]) = found.windows(2).min_by(|a, b| apart(a).total_cmp(&apart(b))) {
+            *slope = *best;
+        }
+    }
+    Ok(slopes)
 }
 
 /// A particle's values of up to nine planes.

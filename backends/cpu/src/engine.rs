@@ -105,8 +105,6 @@ pub(crate) struct CpuEngine<T: Scalar> {
     gravity: [f64; 3],
     /// Levels that particles have left or come to since the last sort.
     pub(crate) changed: Vec<bool>,
-    /// Levels that were sorted last.
-    sorted: Vec<bool>,
     /// Steps since the last sort; `None` before the first one.
     pub(crate) age: Option<u32>,
     /// Nodes lighter than this carry nothing that a particle could feel [kg].
@@ -164,7 +162,6 @@ impl<T: Scalar> CpuEngine<T> {
             scene: plan.scene.clone(),
             gravity: plan.gravity,
             changed: vec![false; plan.cell_widths.len()],
-            sorted: Vec::new(),
             age: None,
             least_mass: 0.0,
             stiffness: Bound { dt: f64::INFINITY, by: "nothing".into() },
@@ -193,15 +190,20 @@ impl<T: Scalar> CpuEngine<T> {
     }
 
     /// Sorts the levels whose particles are too far from home, or have been so for long; before that, brings particles to the
-    /// levels they belong on; `before` are the regions as they were if they have moved. Returns whether anything was sorted.
-    fn keep_in_order(&mut self, time: f64, before: Option<&Regions>, couplings: &[Box<dyn Coupling>]) -> Result<bool> {
+    /// levels they belong on; `before` are the regions as they were if they have moved. Returns which were sorted, if any was.
+    fn keep_in_order(
+        &mut self,
+        time: f64,
+        before: Option<&Regions>,
+        couplings: &[Box<dyn Coupling>],
+    ) -> Result<Option<Vec<bool>>> {
         let is_due = |level: &Level<T>| {
             let most = most_drift(self.leaving, level.near_open, self.schedule.slots > 1);
             self.age.is_none_or(|age| is_sort_due(age, level.drift, most, &ON_PROCESSOR))
         };
         let mut due: Vec<bool> = self.levels.iter().map(is_due).collect();
         if before.is_none() && !due.contains(&true) {
-            return Ok(false);
+            return Ok(None);
         }
         let mut holes = std::mem::replace(&mut self.changed, vec![false; self.levels.len()]);
         if self.schedule.has(Stage::ADAPT) {
@@ -215,7 +217,6 @@ impl<T: Scalar> CpuEngine<T> {
         due.iter_mut().zip(&holes).for_each(|(due, holes)| *due |= holes);
         let clock = Instant::now();
         let left = self.sort_levels(&due, &holes)?;
-        self.sorted = due;
         if let Some((id, position)) = left {
             // All lie in order, to be saved, and whoever goes on finds the same.
             self.age = None;
@@ -224,7 +225,7 @@ impl<T: Scalar> CpuEngine<T> {
         self.rebuild_grids(before.is_some());
         self.age = Some(0);
         self.clocks.add(Pass::Sort, clock);
-        Ok(true)
+        Ok(Some(due))
     }
 
     /// Sorts the levels that are due, side by side. `holes`: have particles been taken out, or come in? Returns the particle of least number that has left the world
@@ -621,12 +622,13 @@ impl<T: Scalar> CpuEngine<T> {
         // Nor is what became of its levels the next one's.
         drop(self.adapt.take_changes());
         let before = if ground { self.follow_agents(couplings) } else { None };
-        let sorted = ground && self.keep_in_order(time, before.as_ref(), couplings)?;
-        let adapted = (sorted && self.levels.len() > 1).then(|| {
+        let sorted_levels = if ground { self.keep_in_order(time, before.as_ref(), couplings)? } else { None };
+        let sorted = sorted_levels.is_some();
+        let adapted = sorted_levels.filter(|levels| levels.len() > 1).map(|sorted| {
             Arc::new(Adapted {
                 boxes: self.adapt.regions.boxes().to_vec(),
                 live: self.reach.as_ref().map(Reach::live).unwrap_or_default(),
-                sorted: std::mem::take(&mut self.sorted),
+                sorted,
                 carried: false,
                 changes: self.adapt.take_changes(),
             })

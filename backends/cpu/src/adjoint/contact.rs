@@ -1,7 +1,6 @@
 //! Bodies in a step backwards: they meet the nodes and particles near them as they did, and what a loss owes goes back through that.
 
-use super::{ASKED, CpuAdjoint, LevelGrid, Nodes, Step};
-use barchan_abi as abi;
+use super::{ASKED, CpuAdjoint, LevelGrid, Nodes, Step, parameter_slopes};
 use barchan_core::account::BATCH;
 use barchan_core::batch::{Matter, Motion, Owed, Plane};
 use barchan_core::contact::adjoint::{BodyInStep, NearCotangents};
@@ -45,33 +44,14 @@ impl Ground {
     }
 }
 
-/// How the stiffness that bodies find changes with each differentiable parameter, by differences to the fourth order: of shorter and shorter steps the two are taken that agree best.
+/// How the stiffness that bodies find changes with each differentiable parameter.
 fn modulus_slopes(planned: &PlannedMaterial) -> Result<Vec<f64>> {
-    let mut slopes = vec![0.0; planned.parameters.len()];
     // Of other laws it is what the scene's step bears.
     if planned.material.table.tangent_moduli_f32.is_none() {
-        return Ok(slopes);
+        return Ok(vec![0.0; planned.parameters.len()]);
     }
-    for (i, slope) in slopes.iter_mut().enumerate() {
-        if planned.material.parameters[i].flags & abi::BARCHAN_PARAM_DIFFERENTIABLE == 0 {
-            continue;
-        }
-        let value = planned.parameters[i];
-        let scale = if value == 0.0 { 1.0 } else { value.abs() };
-        let at = |by: f64| {
-            let mut parameters = planned.parameters.clone();
-            parameters[i] = value + by;
-            p_wave(planned, &parameters)
-        };
-        let difference = |k: i32| -> Result<f64> {
-            let step = 1e-3 * scale * 0.5f64.powi(k);
-            Ok((8.0 * (at(step)? - at(-step)?) - (at(2.0 * step)? - at(-2.0 * step)?)) / (12.0 * step))
-        };
-        let found: Vec<f64> = (0..12).map(difference).collect::<Result<_>>()?;
-        let pairs = found.windows(2).map(|pair| ((pair[0] - pair[1]).abs(), pair[1]));
-        *slope = pairs.min_by(|a, b| a.0.total_cmp(&b.0)).map_or(0.0, |(_, slope)| slope);
-    }
-    Ok(slopes)
+    let modulus = |parameters: &[f64]| p_wave(planned, parameters).map(|modulus| Some([modulus]));
+    Ok(parameter_slopes(planned, (1e-3, 12), modulus)?.into_iter().map(|[slope]| slope).collect())
 }
 
 /// λ + 2μ with these parameters, of the undeformed material squeezed by a millionth: without stress sand stands at the tip of its cone, where a little more may yield [Pa].

@@ -1,6 +1,6 @@
 //! Damping of materials backwards: the stress λ tr(D) I + 2 μ D of the elastic part D of the rate of strain, as `barchan_grid::transfer` has it.
 
-use barchan_abi as abi;
+use super::parameter_slopes;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::stiffness::{Damping, Stiffness};
 use barchan_core::{Plan, Result};
@@ -100,44 +100,21 @@ impl Seen<'_> {
     }
 }
 
-/// How the damping of each of a plan's materials changes with its parameters, by differences to the fourth order: laws tell their moduli in f32, so of longer and longer steps the two are taken
-/// that agree best.
+/// How the damping of each of a plan's materials changes with its parameters. Laws tell their moduli in f32, so that differences begin with long steps.
 pub(super) fn slopes(plan: &Plan) -> Result<Vec<Slopes>> {
-    let none = Damping { lambda: 0.0, mu: 0.0 };
     let of_material = |planned: &PlannedMaterial| {
-        let mut slopes = vec![none; planned.parameters.len()];
         let spec = plan.scene.material.iter().find(|spec| spec.name == planned.name);
-        let Some(time) = spec.map(|spec| spec.damping).filter(|_| planned.damping.is_some()) else { return Ok(slopes) };
-        for (i, slope) in slopes.iter_mut().enumerate() {
-            if planned.material.parameters[i].flags & abi::BARCHAN_PARAM_DIFFERENTIABLE == 0 {
-                continue;
-            }
-            let value = planned.parameters[i];
-            let scale = if value == 0.0 { 1.0 } else { value.abs() };
-            let at = |by: f64| {
-                let mut changed = PlannedMaterial { damping: None, ..planned.clone() };
-                changed.parameters[i] = value + by;
-                let at_rest = Stiffness::of(&changed).map(|law| law.at_rest()).transpose();
-                at_rest.map(|moduli| moduli.map_or([0.0; 2], |moduli| numbers(Damping::new(time, &moduli))))
-            };
-            let difference = |k: i32| -> Result<[f64; 2]> {
-                let step = 0.02 * scale * 0.5f64.powi(k);
-                let [a, b, c, d] = [at(step)?, at(-step)?, at(2.0 * step)?, at(-2.0 * step)?];
-                Ok([0, 1].map(|n| (8.0 * (a[n] - b[n]) - (c[n] - d[n])) / (12.0 * step)))
-            };
-            // A parameter may stand where the longest steps make no material.
-            let found: Vec<[f64; 2]> = (0..8).filter_map(|k| difference(k).ok()).collect();
-            let apart = |pair: &[[f64; 2]]| (0..2).map(|n| (pair[0][n] - pair[1][n]).abs()).sum::<f64>();
-            let best = found.windows(2).min_by(|a, b| apart(a).total_cmp(&apart(b)));
-            if let Some([[lambda, mu], _]) = best {
-                *slope = Damping { lambda: *lambda, mu: *mu };
-            }
-        }
-        Ok(slopes)
+        let Some(time) = spec.map(|spec| spec.damping).filter(|_| planned.damping.is_some()) else {
+            return Ok(vec![Damping { lambda: 0.0, mu: 0.0 }; planned.parameters.len()]);
+        };
+        let damping = |parameters: &[f64]| {
+            let changed = PlannedMaterial { damping: None, parameters: parameters.to_vec(), ..planned.clone() };
+            // A parameter may stand where long steps make no material.
+            let at_rest = Stiffness::of(&changed).and_then(|law| law.at_rest().ok());
+            Ok(at_rest.map(|moduli| Damping::new(time, &moduli)).map(|Damping { lambda, mu }| [lambda, mu]))
+        };
+        let slopes = parameter_slopes(planned, (0.02, 8), damping)?.into_iter();
+        Ok(slopes.map(|[lambda, mu]| Damping { lambda, mu }).collect())
     };
     plan.materials.iter().map(of_material).collect()
-}
-
-fn numbers(damping: Damping) -> [f64; 2] {
-    [damping.lambda, damping.mu]
 }

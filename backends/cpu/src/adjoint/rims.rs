@@ -39,7 +39,6 @@ pub(super) struct Rim {
     rings: Vec<Ring>,
     /// Where each parent cell's sums stand.
     places: HashMap<[i32; 3], usize>,
-    count: usize,
 }
 
 /// The block in which each particle of each list counts: where it was sorted, or where it is.
@@ -76,7 +75,7 @@ impl CpuAdjoint {
             (slaves != 0).then_some((b, slaves))
         });
         let with_slaves: Vec<(usize, u64)> = with_slaves.collect();
-        let mut rim = Rim { rings: Vec::with_capacity(with_slaves.len()), places: HashMap::new(), count: 0 };
+        let mut rim = Rim { rings: Vec::with_capacity(with_slaves.len()), places: HashMap::new() };
         for (b, slaves) in with_slaves {
             let (first, means) = (first_parent(sums.keys[b]), parent_cells(slaves));
             let parents = ring::parents(slaves);
@@ -96,17 +95,14 @@ impl CpuAdjoint {
                 if means >> n & 1 == 1 {
                     let block = bounds.wrap(cell.map(|c| c >> 1));
                     let key = std::array::from_fn(|d| 2 * block[d] + (cell[d] & 1));
-                    let Rim { places, count, .. } = &mut rim;
-                    let at = *places.entry(key).or_insert_with(|| {
-                        *count += 1;
-                        *count - 1
-                    });
+                    let next = rim.places.len();
+                    let at = *rim.places.entry(key).or_insert(next);
                     ring.cells[n] = Some(Seen { at, flips, turns });
                 }
             }
             rim.rings.push(ring);
         }
-        let mut carried = vec![[0.0; 10]; rim.count];
+        let mut carried = vec![[0.0; 10]; rim.places.len()];
         self.each_carrier(l, &rim, particles, blocks, |list, i, at| {
             let list = &particles.lists[list];
             let (mass, sum) = (list.mass[i], &mut carried[at]);
@@ -155,7 +151,7 @@ impl CpuAdjoint {
         blocks: &[Vec<[i32; 3]>],
         mut see: impl FnMut(usize, usize, usize),
     ) {
-        if rim.count == 0 {
+        if rim.places.is_empty() {
             return;
         }
         let bounds = &self.grids[l].bounds;
@@ -192,7 +188,7 @@ impl CpuAdjoint {
         (particles, blocks): (&ParticleState, &[Vec<[i32; 3]>]),
         mut of_affine: impl FnMut(usize, usize, [f64; 9]),
     ) {
-        let mut of_carried = vec![[0.0; 10]; rim.count];
+        let mut of_carried = vec![[0.0; 10]; rim.places.len()];
         for ring in &rim.rings {
             for (n, node, mean) in &ring.held {
                 let part = if mean[0] > 0.0 { node[3] / mean[0] } else { 0.0 };

@@ -210,14 +210,8 @@ impl WgpuBatch {
         let mean = |sum: &Wrench| sum.scaled(1.0 / self.substeps as f64);
         let report = |hosted: HostedStep<'_, '_>| {
             let wrenches = Some(hosted.wrenches.iter().map(mean).collect());
-            let report = StepReport {
-                dt,
-                sorted: hosted.sorted,
-                max_speed: hosted.speed,
-                wrenches,
-                bodies: None,
-                adapted: None,
-            };
+            let (sorted, max_speed) = (hosted.sorted, hosted.speed);
+            let report = StepReport { dt, sorted, max_speed, wrenches, ..StepReport::default() };
             hosted.failed.map_or(Ok(vec![report]), Err)
         };
         Ok(hosted_steps.into_iter().map(report).collect())
