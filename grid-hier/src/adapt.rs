@@ -393,8 +393,11 @@ impl Adapt {
         };
         let mut come: Vec<_> = come.map(|one| (key(one), &one.1)).collect();
         come.par_sort_unstable_by_key(|(key, _)| *key);
-        let settled = come.iter().map(|(key, parcel)| LevelChange::Move { id: parcel.id, to: (key >> 56) as u32 });
-        self.changes.extend(settled);
+        let level = |key: u64| (key >> 56) as u32;
+        self.changes.extend(come.chunk_by(|a, b| level(a.0) == level(b.0)).map(|settled| LevelChange::Move {
+            ids: settled.iter().map(|(_, parcel)| parcel.id).collect(),
+            to: level(settled[0].0),
+        }));
         let gone = [splitting, moving, gone, unmerged];
         let exchange = |(l, level): (usize, &mut &mut S)| {
             let mut changed = false;

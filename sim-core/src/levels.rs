@@ -67,10 +67,10 @@ pub enum LevelChange {
         /// Which.
         members: Vec<u32>,
     },
-    /// One is on another level from now on, or a new one has found its own.
+    /// Some are on another level from now on, or new ones have found their own.
     Move {
         /// Which.
-        id: u32,
+        ids: Vec<u32>,
         /// The level.
         to: u32,
     },

@@ -10,12 +10,14 @@
 
 mod contact;
 mod damping;
+mod nodes;
 mod rims;
+mod transfer;
 
 use barchan_abi as abi;
 use barchan_core::account::BATCH;
 use barchan_core::batch::{Answer, Matter, Motion, Owed, Plane};
-use barchan_core::gradient::{Gradient, MOST_STATES};
+use barchan_core::gradient::Gradient;
 use barchan_core::material::ErrorBuffer;
 use barchan_core::plan::PlannedMaterial;
 use barchan_core::{
@@ -26,14 +28,16 @@ use barchan_grid::archive::{Tiles, edge_of};
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::limits::{LEAST_MASS, MAX_DEFORMATION};
-use barchan_grid::transfer::adjoint::{AROUND, Affine, Stencil, deformed_back};
-use barchan_grid::transfer::{ENTRIES, deformed};
+use barchan_grid::transfer::adjoint::deformed_back;
+use barchan_grid::transfer::deformed;
+use barchan_lanes::Isa;
 use contact::{Around, Ground, Met};
 use damping::Seen;
+use nodes::{Nodes, Values};
 use rayon::ThreadPool;
 use rayon::prelude::*;
-use rims::{Rim, blocks_of};
-use std::collections::HashMap;
+use rims::{Rim, runs_of};
+use transfer::{Given, Group, take_in};
 
 /// Pieces that share nodes: with fewer, more of these are added up than particles touch.
 const PIECES: usize = 16;
@@ -53,6 +57,15 @@ pub(crate) struct CpuAdjoint {
     ground: Ground,
     /// How each material's damping changes with its parameters.
     damping: Vec<damping::Slopes>,
+    isa: Isa,
+}
+
+/// Particles in the order of their numbers, which rise with their ids.
+struct Order {
+    /// The number of each particle of each list.
+    numbers: Vec<Vec<u32>>,
+    /// By numbers: of which list each is, and its place there.
+    places: Vec<(u32, u32)>,
 }
 
 /// What a level's grid is like.
@@ -62,91 +75,15 @@ struct LevelGrid {
     h: f64,
 }
 
-/// Particles that are worked on together: of one list, so many from one on.
+/// Particles that are worked on together: of one list, which has a number, so many from one on.
 #[derive(Clone, Copy)]
 struct Piece<'a> {
     list: &'a ParticleList,
+    of: usize,
     first: usize,
     count: usize,
     /// Their numbers among all particles, in the order of these.
     number: &'a [u32],
-}
-
-/// Nodes, block by block. Of each node three numbers that belong to its directions, and one.
-#[derive(Default)]
-struct Nodes {
-    at: HashMap<[i32; 3], usize>,
-    keys: Vec<[i32; 3]>,
-    values: Vec<[[f64; 4]; CELLS]>,
-}
-
-impl Nodes {
-    /// Number of a block, which is made if there is none.
-    fn block(&mut self, key: [i32; 3]) -> usize {
-        let Self { at, keys, values } = self;
-        *at.entry(key).or_insert_with(|| {
-            keys.push(key);
-            values.push([[0.0; 4]; CELLS]);
-            keys.len() - 1
-        })
-    }
-
-    /// A node by its number.
-    #[inline(always)]
-    fn get(&self, node: usize) -> [f64; 4] {
-        self.values[node / CELLS][node % CELLS]
-    }
-
-    #[inline(always)]
-    fn get_mut(&mut self, node: usize) -> &mut [f64; 4] {
-        &mut self.values[node / CELLS][node % CELLS]
-    }
-
-    /// The number of the node in a cell, if its block is there.
-    fn find(&self, cell: [i32; 3]) -> Option<usize> {
-        let [x, y, z] = cell.map(|c| c.rem_euclid(block::SIDE) as usize);
-        Some(self.at.get(&block::of_cell(cell))? * CELLS + (4 * x + y) * 4 + z)
-    }
-
-    /// The cell of the node with a number.
-    fn cell(&self, node: usize) -> [i32; 3] {
-        let n = node % CELLS;
-        let within = [n / 16, n / 4 % 4, n % 4];
-        std::array::from_fn(|d| self.keys[node / CELLS][d] * block::SIDE + within[d] as i32)
-    }
-
-    /// Adds other nodes.
-    fn add(&mut self, other: &Self) {
-        for (key, values) in other.keys.iter().zip(&other.values) {
-            let b = self.block(*key);
-            let sums = self.values[b].as_flattened_mut().iter_mut();
-            sums.zip(values.as_flattened()).for_each(|(sum, value)| *sum += value);
-        }
-    }
-
-    /// The same nodes, each with what is made of it.
-    fn map(&self, of: impl Fn([f64; 4]) -> [f64; 4]) -> Self {
-        let values = self.values.iter().map(|block| block.map(&of)).collect();
-        Self { at: self.at.clone(), keys: self.keys.clone(), values }
-    }
-}
-
-/// A particle among its nodes.
-struct Place {
-    stencil: Stencil,
-    /// Numbers of the nodes around it, walls and joined ends seen to.
-    nodes: [u32; AROUND],
-    /// Which directions a wall mirrors there, a bit each.
-    flipped: [u8; AROUND],
-}
-
-impl Place {
-    /// A node around it, by its number, and a vector there as the wall shows it.
-    #[inline(always)]
-    fn at(&self, n: usize, [x, y, z]: [f64; 3]) -> (u32, [f64; 3]) {
-        let sign = |bit: u8| if self.flipped[n] >> bit & 1 == 1 { -1.0 } else { 1.0 };
-        (self.nodes[n], [sign(0) * x, sign(1) * y, sign(2) * z])
-    }
 }
 
 /// What a law made of a batch, part by part of the step's strain.
@@ -159,6 +96,12 @@ struct Deformed {
 }
 
 impl Deformed {
+    /// A particle's Kirchhoff stress.
+    #[inline(always)]
+    fn stress(&self, i: usize) -> [f64; 6] {
+        self.kirchhoff.each_ref().map(|plane| plane.0[i])
+    }
+
     /// A particle's strain before and after flow in the last part.
     fn numbers(&self, i: usize) -> [[f64; 9]; 2] {
         let trial = self.before.last().map_or(&[][..], |[_, trial, _]| trial);
@@ -170,38 +113,6 @@ impl Deformed {
         let [trial, strain] = numbers.each_ref().map(|all| &all[..self.after[0].len()]);
         Seen { dt, rates: std::array::from_fn(|c| rates[c].0[i] * dt), trial, strain }
     }
-}
-
-/// How a piece gave to nodes.
-struct Forward {
-    places: Vec<Place>,
-    /// Of each particle; see [`CpuAdjoint::momentum`].
-    momentum: Vec<Affine>,
-    deformed: Deformed,
-}
-
-/// Pieces that give to the same nodes, of their own.
-struct Group<'a> {
-    pieces: &'a [Piece<'a>],
-    forwards: Vec<Forward>,
-    nodes: Nodes,
-}
-
-/// What goes back to a particle.
-#[derive(Clone, Default)]
-struct Back {
-    position: Vec3,
-    velocity: Vec3,
-    affine: [f64; 9],
-    strain: [f64; 9],
-    state: [f64; MOST_STATES],
-}
-
-/// All that goes back from a piece: to its particles, to its law's parameters, to gravity.
-struct Given {
-    backs: Vec<Back>,
-    parameters: Vec<f64>,
-    gravity: Vec3,
 }
 
 /// A step to go back through.
@@ -243,6 +154,7 @@ impl CpuAdjoint {
             scene: plan.scene.clone(),
             ground: Ground::new(plan)?,
             damping: damping::slopes(plan)?,
+            isa: plan.isa,
         })
     }
 
@@ -287,94 +199,6 @@ impl CpuAdjoint {
         })
     }
 
-    /// The momentum that a particle gives, and by how much it grows a cell: m (v + dt g), and m h C − 4 dt V τ / h.
-    fn momentum(list: &ParticleList, p: usize, tau: [f64; 6], step: &Step) -> Affine {
-        let h = list.cell_width;
-        let [m, stress] = [list.mass[p], -4.0 * step.dt / h * list.volume0[p]];
-        let [xx, yy, zz, xy, xz, yz] = tau;
-        let full = [xx, xy, xz, xy, yy, yz, xz, yz, zz];
-        Affine {
-            at: std::array::from_fn(|d| m * (list.velocity[p][d] + step.dt * step.gravity[d])),
-            rows: std::array::from_fn(|e| m * h * list.affine[p][e] + stress * full[e]),
-        }
-    }
-
-    /// Where a particle stands among the nodes, whose blocks are made if there are none.
-    fn place(
-        &self,
-        list: &ParticleList,
-        p: usize,
-        nodes: &mut Nodes,
-        last: &mut ([[i32; 3]; 3], [usize; AROUND]),
-    ) -> Place {
-        let LevelGrid { bounds, h } = &self.grids[list.level as usize];
-        // Along each axis: the cell of each node, and the signs that a wall gives its directions.
-        let along: [[(i32, [bool; 3]); 3]; 3] = std::array::from_fn(|d| {
-            std::array::from_fn(|i| {
-                let mut cell = [bounds.min[0], bounds.min[1], bounds.min[2]];
-                cell[d] = list.cell[p][d] + i as i32 - 1;
-                let (reflected, flipped) = bounds.mirrors.reflected(cell);
-                let period = bounds.periods()[d];
-                let at = if period == 0 {
-                    reflected[d]
-                } else {
-                    bounds.min[d] + (reflected[d] - bounds.min[d]).rem_euclid(period)
-                };
-                (at, flipped)
-            })
-        });
-        let blocks = along.map(|axis| axis.map(|(cell, _)| cell >> 2));
-        if last.0 != blocks || nodes.keys.is_empty() {
-            for (n, block) in last.1.iter_mut().enumerate() {
-                *block = nodes.block([blocks[0][n / 9], blocks[1][n / 3 % 3], blocks[2][n % 3]]);
-            }
-            last.0 = blocks;
-        }
-        let mut place = Place { stencil: Stencil::new(list.offset[p], *h), nodes: [0; AROUND], flipped: [0; AROUND] };
-        for n in 0..AROUND {
-            let at = [along[0][n / 9], along[1][n / 3 % 3], along[2][n % 3]];
-            let [x, y, z] = at.map(|(cell, _)| cell.rem_euclid(block::SIDE) as usize);
-            place.nodes[n] = (last.1[n] * CELLS + (4 * x + y) * 4 + z) as u32;
-            for (_, flipped) in at {
-                (0..3).for_each(|d| place.flipped[n] ^= u8::from(flipped[d]) << d);
-            }
-        }
-        place
-    }
-
-    /// P2G of a piece.
-    fn give(&self, piece: &Piece<'_>, step: &Step, nodes: &mut Nodes) -> Result<Forward> {
-        let (list, deformed) = (piece.list, self.deform(piece, step)?);
-        let (mut places, mut momentum) = (Vec::with_capacity(piece.count), Vec::with_capacity(piece.count));
-        let mut last = ([[i32::MIN; 3]; 3], [0; AROUND]);
-        for i in 0..piece.count {
-            let p = piece.first + i;
-            let place = self.place(list, p, nodes, &mut last);
-            let gives = Self::momentum(list, p, deformed.kirchhoff.map(|plane| plane.0[i]), step);
-            place.stencil.scatter(&gives, list.mass[p], |n, [x, y, z, m]| {
-                let (node, given) = place.at(n, [x, y, z]);
-                let node = nodes.get_mut(node as usize);
-                (0..3).for_each(|d| node[d] += given[d]);
-                node[3] += m;
-            });
-            places.push(place);
-            momentum.push(gives);
-        }
-        Ok(Forward { places, momentum, deformed })
-    }
-
-    /// P2G of a level.
-    fn give_level<'a>(&self, pieces: &'a [Piece<'a>], step: &Step) -> Result<Vec<Group<'a>>> {
-        pieces.par_chunks(PIECES).map(|pieces| self.give_all(pieces, step)).collect()
-    }
-
-    /// P2G of some pieces.
-    fn give_all<'a>(&self, pieces: &'a [Piece<'a>], step: &Step) -> Result<Group<'a>> {
-        let mut nodes = Nodes::default();
-        let forwards = pieces.iter().map(|piece| self.give(piece, step, &mut nodes)).collect::<Result<_>>()?;
-        Ok(Group { pieces, forwards, nodes })
-    }
-
     /// Walls that let go act on sums of nodes. Returns what they were before, in the order in which walls acted.
     fn separate(bounds: &Bounds, sums: &mut Nodes) -> Vec<Pair> {
         let mut pairs = Vec::new();
@@ -402,86 +226,7 @@ impl CpuAdjoint {
         pairs
     }
 
-    /// G2P of a group backwards: what its particles owe to nodes, and to where they read.
-    fn read_back(group: &Group<'_>, velocities: &Nodes, dt: f64, gradient: &Gradient) -> (Nodes, Vec<Vec<Back>>) {
-        let to_all = velocities.numbers_of(&group.nodes);
-        let mut owed = group.nodes.map(|_| [0.0; 4]);
-        let of_piece = |(piece, forward): (&Piece<'_>, &Forward)| {
-            let h = piece.list.cell_width;
-            let places = forward.places.iter().zip(piece.number);
-            places
-                .map(|(place, number)| {
-                    Self::read_one(place, (*number as usize, h), (velocities, &to_all), dt, gradient, &mut owed)
-                })
-                .collect()
-        };
-        let backs = group.pieces.iter().zip(&group.forwards).map(of_piece).collect();
-        (owed, backs)
-    }
-
-    /// The same of one particle.
-    fn read_one(
-        place: &Place,
-        (number, h): (usize, f64),
-        (velocities, to_all): (&Nodes, &impl Fn(u32) -> usize),
-        dt: f64,
-        gradient: &Gradient,
-        owed: &mut Nodes,
-    ) -> Back {
-        let after = &gradient.particles;
-        let position = after.position[number];
-        // What the new velocity does to the loss by itself, and by the move.
-        let at = std::array::from_fn(|d| after.velocity[number][d] + dt * position[d]);
-        let cotangent = Affine { at, rows: after.affine[number] };
-        let velocity = |n: usize| {
-            let [x, y, z, _] = velocities.get(to_all(place.nodes[n]));
-            place.at(n, [x, y, z]).1
-        };
-        let moved = place.stencil.gather_back(h, &cotangent, velocity, |n, given| {
-            let (node, given) = place.at(n, given);
-            let node = owed.get_mut(node as usize);
-            (0..3).for_each(|d| node[d] += given[d]);
-        });
-        Back { position: std::array::from_fn(|d| position[d] + moved[d]), ..Back::default() }
-    }
-
-    /// P2G of a piece backwards, and the law: `backs` gets what is missing. Returns what is owed to the law's parameters and to gravity.
-    fn give_back(
-        &self,
-        (piece, forward): (&Piece<'_>, &Forward),
-        (owed, to_all): (&Nodes, &impl Fn(u32) -> usize),
-        step: &Step,
-        gradient: &Gradient,
-        mut backs: Vec<Back>,
-    ) -> Result<Given> {
-        let (list, h) = (piece.list, piece.list.cell_width);
-        let mut gravity = [0.0; 3];
-        let mut kirchhoff = [Plane::<f64, BATCH>::default(); 6];
-        for (i, back) in backs.iter_mut().enumerate() {
-            let (p, place) = (piece.first + i, &forward.places[i]);
-            let mass = list.mass[p];
-            let (of, moved) = place.stencil.scatter_back(h, &forward.momentum[i], mass, |n| {
-                let [x, y, z, m] = owed.get(to_all(place.nodes[n]));
-                let (_, [x, y, z]) = place.at(n, [x, y, z]);
-                [x, y, z, m]
-            });
-            for d in 0..3 {
-                back.position[d] += moved[d];
-                back.velocity[d] += mass * of.at[d];
-                gravity[d] += mass * step.dt * step.grown * of.at[d];
-            }
-            back.affine = of.rows.map(|a| mass * h * a);
-            let stress = -4.0 * step.dt / h * list.volume0[p];
-            for (plane, (row, column)) in kirchhoff.iter_mut().zip(ENTRIES) {
-                let other = if row == column { 0.0 } else { of.rows[3 * column + row] };
-                plane.0[i] = stress * (of.rows[3 * row + column] + other);
-            }
-        }
-        let parameters = self.deform_back(piece, &forward.deformed, step, gradient, kirchhoff, &mut backs)?;
-        Ok(Given { backs, parameters, gravity })
-    }
-
-    /// The law and the strain of a piece backwards. Returns what is owed to the law's parameters.
+    /// The law and the strain of a piece backwards: `given` gets what is missing.
     fn deform_back(
         &self,
         piece: &Piece<'_>,
@@ -489,8 +234,8 @@ impl CpuAdjoint {
         step: &Step,
         gradient: &Gradient,
         mut kirchhoff: [Plane<f64, BATCH>; 6],
-        backs: &mut [Back],
-    ) -> Result<Vec<f64>> {
+        given: &mut Given,
+    ) -> Result<()> {
         let planned = &self.materials[piece.list.material as usize];
         let (planes, states) = (piece.list.strain.len(), piece.list.state.len());
         let (dt, vel_grad) = (step.strain_dt / f64::from(step.parts), self.rates(piece));
@@ -506,10 +251,10 @@ impl CpuAdjoint {
         let mut by_damping: Option<Vec<Plane<f64, BATCH>>> = None;
         if let Some(damping) = planned.damping.filter(|_| dt > 0.0) {
             let of_trial = by_damping.insert(vec![Plane::default(); planes]);
-            for (i, back) in backs.iter_mut().enumerate() {
+            for (i, affine) in given.affine.iter_mut().enumerate() {
                 let owed = kirchhoff.each_ref().map(|plane| plane.0[i]);
                 let of = made.seen(i, &made.numbers(i), dt, &vel_grad).stress_back(damping, owed);
-                (0..9).for_each(|c| back.affine[c] += dt * of.rates[c]);
+                (0..9).for_each(|c| affine[c] += dt * of.rates[c]);
                 strain.iter_mut().zip(of.strain).for_each(|(plane, owed)| plane.0[i] += owed);
                 of_trial.iter_mut().zip(of.trial).for_each(|(plane, owed)| plane.0[i] = owed);
                 let slopes = &self.damping[piece.list.material as usize];
@@ -539,13 +284,13 @@ impl CpuAdjoint {
             for (of_trial, damped) in of_trial.iter_mut().zip(by_damping.take().into_iter().flatten()) {
                 of_trial.0.iter_mut().zip(damped.0).for_each(|(sum, owed)| *sum += owed);
             }
-            for (i, back) in backs.iter_mut().enumerate() {
+            for (i, affine) in given.affine.iter_mut().enumerate() {
                 let G = vel_grad.map(|plane| plane.0[i] * dt);
                 let (own, owed) = (values(before, i), values(&of_trial, i));
                 let mut of_G = [0.0; 9];
                 let of_strain = deformed_back(&G, &own[..planes], &owed[..planes], &mut of_G);
                 for c in 0..9 {
-                    back.affine[c] += dt * of_G[c] + of_rates[c].0[i];
+                    affine[c] += dt * of_G[c] + of_rates[c].0[i];
                 }
                 strain.iter_mut().zip(of_strain).for_each(|(plane, value)| plane.0[i] = value);
             }
@@ -553,11 +298,8 @@ impl CpuAdjoint {
             // Only the last part's stress acts.
             kirchhoff = [Plane::default(); 6];
         }
-        for (i, back) in backs.iter_mut().enumerate() {
-            back.strain.iter_mut().zip(&strain).for_each(|(to, plane)| *to = plane.0[i]);
-            back.state.iter_mut().zip(&state).for_each(|(to, plane)| *to = plane.0[i]);
-        }
-        Ok(parameters)
+        (given.strain, given.state, given.parameters) = (strain, state, parameters);
+        Ok(())
     }
 
     /// What is owed to nodes before walls that let go, from what is owed to their images behind them, which move as they do.
@@ -572,17 +314,18 @@ impl CpuAdjoint {
 
     /// What is owed to the sums of nodes, from what is owed to their velocities, and to masses by contact.
     fn sums_back(bounds: &Bounds, [velocities, sums]: [&Nodes; 2], pairs: &[Pair], owed: &mut Nodes) {
-        for node in 0..owed.keys.len() * CELLS {
-            let [x, y, z, mass] = sums.get(node);
-            let of = owed.get_mut(node);
-            if velocities.get(node)[3] > 0.0 {
-                let along = of[0] * x + of[1] * y + of[2] * z;
-                *of = [of[0] / mass, of[1] / mass, of[2] / mass, of[3] - along / (mass * mass)];
-            } else {
-                // Where ground out of reach holds it, what a body took still depends on its mass.
-                *of = [0.0, 0.0, 0.0, of[3]];
+        let all = (&mut owed.values, &velocities.values, &sums.values);
+        all.into_par_iter().for_each(|(owed, velocities, sums)| {
+            for (of, (velocity, [x, y, z, mass])) in owed.iter_mut().zip(velocities.iter().zip(sums)) {
+                if velocity[3] > 0.0 {
+                    let along = of[0] * x + of[1] * y + of[2] * z;
+                    *of = [of[0] / mass, of[1] / mass, of[2] / mass, of[3] - along / (mass * mass)];
+                } else {
+                    // Where ground out of reach holds it, what a body took still depends on its mass.
+                    *of = [0.0, 0.0, 0.0, of[3]];
+                }
             }
-        }
+        });
         for pair in pairs.iter().rev() {
             let separation = &bounds.separations[pair.separation].0;
             let [node, image] = separation.fold_back(&pair.sums[0], &pair.sums[1], owed.get(pair.node));
@@ -606,8 +349,8 @@ impl CpuAdjoint {
 
     /// Particles whose strain lags behind no more.
     fn carry(&self, before: &ParticleState, steps: &[Step]) -> Result<ParticleState> {
-        let numbers = numbers(before);
-        let pieces = pieces(before, &numbers, |_| true);
+        let order = Order::of(before);
+        let pieces = pieces(before, &order.numbers, |_| true);
         let one = |piece: &Piece<'_>| self.deform(piece, &steps[piece.list.level as usize]);
         let made: Vec<Deformed> = pieces.par_iter().map(one).collect::<Result<_>>()?;
         let mut carried = before.clone();
@@ -622,24 +365,26 @@ impl CpuAdjoint {
 
     /// The adjoint of that, and no more.
     fn carry_back(&self, before: &ParticleState, steps: &[Step], gradient: &mut Gradient) -> Result<()> {
-        let numbers = numbers(before);
-        let pieces = pieces(before, &numbers, |_| true);
+        let order = Order::of(before);
+        let pieces = pieces(before, &order.numbers, |_| true);
         let one = |piece: &Piece<'_>| {
-            let particles = &gradient.particles;
-            let as_it_is = |number: &u32| Back {
-                position: particles.position[*number as usize],
-                velocity: particles.velocity[*number as usize],
-                affine: particles.affine[*number as usize],
-                ..Back::default()
+            let (particles, numbers) = (&gradient.particles, || piece.number.iter().map(|number| *number as usize));
+            let mut given = Given {
+                position: numbers().map(|number| particles.position[number]).collect(),
+                velocity: numbers().map(|number| particles.velocity[number]).collect(),
+                affine: numbers().map(|number| particles.affine[number]).collect(),
+                strain: Vec::new(),
+                state: Vec::new(),
+                parameters: Vec::new(),
+                gravity: [0.0; 3],
             };
-            let mut backs: Vec<Back> = piece.number.iter().map(as_it_is).collect();
             let step = &steps[piece.list.level as usize];
             let made = self.deform(piece, step)?;
-            let parameters = self.deform_back(piece, &made, step, gradient, [Plane::default(); 6], &mut backs)?;
-            Ok(Given { backs, parameters, gravity: [0.0; 3] })
+            self.deform_back(piece, &made, step, gradient, [Plane::default(); 6], &mut given)?;
+            Ok(given)
         };
-        let given: Vec<_> = pieces.par_iter().map(one).collect::<Result<_>>()?;
-        take_in(gradient, &pieces, given);
+        let given: Vec<Given> = pieces.par_iter().map(one).collect::<Result<_>>()?;
+        take_in(gradient, &order, &pieces, &given);
         Ok(())
     }
 
@@ -651,20 +396,20 @@ impl CpuAdjoint {
         steps: &[Step],
         gradient: &mut Gradient,
     ) -> Result<()> {
-        let (numbers, levels) = (numbers(particles), self.grids.len());
-        let of_level = |l: usize| pieces(particles, &numbers, |list| list.level as usize == l);
+        let (order, levels) = (Order::of(particles), self.grids.len());
+        let of_level = |l: usize| pieces(particles, &order.numbers, |list| list.level as usize == l);
         let pieces: Vec<Vec<Piece<'_>>> = (0..levels).map(of_level).collect();
         let groups: Vec<Vec<Group<'_>>> =
             pieces.iter().zip(steps).map(|(pieces, step)| self.give_level(pieces, step)).collect::<Result<_>>()?;
         let mut sums: Vec<Nodes> = (0..levels).map(|_| Nodes::default()).collect();
         for (sums, groups) in sums.iter_mut().zip(&groups) {
-            groups.iter().for_each(|group| sums.add(&group.nodes));
+            groups.iter().for_each(|group| sums.add(&group.nodes.keys, &group.nodes.values));
         }
-        let blocks = if levels > 1 { blocks_of(particles, sort, place.sorted) } else { Vec::new() };
+        let runs = if levels > 1 { runs_of(particles, sort, place.sorted) } else { Vec::new() };
         let mut grids: Vec<OnLevel> = Vec::with_capacity(levels);
         for l in 0..levels {
             let rim = sums[l..].split_first_mut().and_then(|(sums, coarser)| {
-                Some(self.hand_over(l, &place.regions, [sums, coarser.first_mut()?], (particles, &blocks)))
+                Some(self.hand_over(l, &place.regions, [sums, coarser.first_mut()?], (particles, &runs)))
             });
             let pairs = Self::separate(&self.grids[l].bounds, &mut sums[l]);
             grids.push(OnLevel { rim, pairs });
@@ -680,7 +425,7 @@ impl CpuAdjoint {
         contact::begin(couplings, &steps[0])?;
         let mut met = Vec::with_capacity(levels);
         for (l, (sums, velocities)) in sums.iter().zip(&mut velocities).enumerate() {
-            let around = Around { adjoint: self, level: l, particles, numbers: &numbers, sums, least };
+            let around = Around { adjoint: self, level: l, particles, numbers: &order.numbers, sums, least };
             met.push(Met::forwards(&around, couplings, &steps[l], velocities)?);
         }
         for l in (0..levels).rev() {
@@ -696,17 +441,17 @@ impl CpuAdjoint {
             }
         }
 
-        let (mut owed, mut backs) = (Vec::with_capacity(levels), Vec::with_capacity(levels));
+        let (mut owed, mut positions) = (Vec::with_capacity(levels), Vec::with_capacity(levels));
         for ((groups, step), velocities) in groups.iter().zip(steps).zip(&velocities) {
-            let read: Vec<(Nodes, Vec<Vec<Back>>)> =
-                groups.par_iter().map(|group| Self::read_back(group, velocities, step.dt, gradient)).collect();
+            let read: Vec<(Values, Vec<Vec<Vec3>>)> =
+                groups.par_iter().map(|group| self.read_back(group, velocities, step.dt, gradient)).collect();
             let (mut sum, mut of_groups) = (velocities.map(|_| [0.0; 4]), Vec::with_capacity(read.len()));
-            for (nodes, back) in read {
-                sum.add(&nodes);
-                of_groups.push(back);
+            for (group, (values, positions)) in groups.iter().zip(read) {
+                sum.add(&group.nodes.keys, &values);
+                of_groups.push(positions);
             }
             owed.push(sum);
-            backs.push(of_groups);
+            positions.push(of_groups);
         }
         for (l, OnLevel { rim, pairs }) in grids.iter().enumerate() {
             Self::images_back(&self.grids[l].bounds, pairs, &mut owed[l]);
@@ -723,22 +468,19 @@ impl CpuAdjoint {
             if let ([.., here], [coarser, ..]) = owed.split_at_mut(l + 1)
                 && let Some(rim) = rim
             {
-                let place = (particles, &blocks[..]);
-                self.hand_over_back(l, rim, [here, coarser], place, |list, i, back| of_affine.push((list, i, back)));
+                of_affine.extend(self.hand_over_back(l, rim, [here, coarser], (particles, &runs)));
             }
         }
-        for ((groups, backs), (owed, step)) in groups.iter().zip(backs).zip(owed.iter().zip(steps)) {
-            let one = |(group, backs): (&Group<'_>, Vec<Vec<Back>>)| {
-                let to_all = owed.numbers_of(&group.nodes);
-                let each = group.pieces.iter().zip(&group.forwards).zip(backs);
-                each.map(|(piece, backs)| self.give_back(piece, (owed, &to_all), step, gradient, backs)).collect()
-            };
-            let given: Vec<Vec<Given>> = groups.par_iter().zip(backs).map(one).collect::<Result<_>>()?;
-            let pieces = groups.iter().flat_map(|group| group.pieces);
-            take_in(gradient, pieces, given.into_iter().flatten());
+        let mut given = Vec::with_capacity(pieces.iter().map(Vec::len).sum());
+        for ((groups, positions), (owed, step)) in groups.into_iter().zip(positions).zip(owed.iter().zip(steps)) {
+            // What a group has kept goes with it.
+            let one = |(group, positions): (Group<'_>, _)| self.give_back(&group, owed, step, gradient, positions);
+            let of_groups: Vec<Vec<Given>> = groups.into_par_iter().zip(positions).map(one).collect::<Result<_>>()?;
+            given.extend(of_groups.into_iter().flatten());
         }
+        take_in(gradient, &order, &pieces.concat(), &given);
         for (list, i, back) in of_affine {
-            let affine = &mut gradient.particles.affine[numbers[list][i] as usize];
+            let affine = &mut gradient.particles.affine[order.numbers[list][i] as usize];
             affine.iter_mut().zip(back).for_each(|(sum, own)| *sum += own);
         }
         self.ground.take_in(&near, gradient);
@@ -810,40 +552,12 @@ fn pieces<'a>(
     numbers: &'a [Vec<u32>],
     wanted: impl Fn(&ParticleList) -> bool,
 ) -> Vec<Piece<'a>> {
-    let of_list = |(list, numbers): (&'a ParticleList, &'a Vec<u32>)| {
+    let of_list = |(of, (list, numbers)): (usize, (&'a ParticleList, &'a Vec<u32>))| {
         let each = numbers.chunks(BATCH).enumerate();
-        each.map(move |(k, number)| Piece { list, first: k * BATCH, count: number.len(), number })
+        each.map(move |(k, number)| Piece { list, of, first: k * BATCH, count: number.len(), number })
     };
-    particles.lists.iter().zip(numbers).filter(|(list, _)| wanted(list)).flat_map(of_list).collect()
-}
-
-/// What goes back to particles, parameters and gravity, piece by piece.
-fn take_in<'a>(
-    gradient: &mut Gradient,
-    pieces: impl IntoIterator<Item = &'a Piece<'a>>,
-    given: impl IntoIterator<Item = Given>,
-) {
-    for (piece, Given { backs, parameters, gravity }) in pieces.into_iter().zip(given) {
-        let sums = &mut gradient.parameters[piece.list.material as usize];
-        sums.iter_mut().zip(parameters).for_each(|(sum, own)| *sum += own);
-        (0..3).for_each(|d| gradient.gravity[d] += gravity[d]);
-        for (number, back) in piece.number.iter().zip(backs) {
-            let (number, particles) = (*number as usize, &mut gradient.particles);
-            particles.position[number] = back.position;
-            particles.velocity[number] = back.velocity;
-            particles.affine[number] = back.affine;
-            particles.strain[number] = back.strain;
-            particles.state[number] = back.state;
-        }
-    }
-}
-
-impl Nodes {
-    /// The numbers that nodes of a piece have among all.
-    fn numbers_of(&self, piece: &Self) -> impl Fn(u32) -> usize + use<> {
-        let blocks: Vec<usize> = piece.keys.iter().map(|key| self.at[key]).collect();
-        move |node| blocks[node as usize / CELLS] * CELLS + node as usize % CELLS
-    }
+    let lists = particles.lists.iter().zip(numbers).enumerate();
+    lists.filter(|(_, (list, _))| wanted(list)).flat_map(of_list).collect()
 }
 
 impl Piece<'_> {
@@ -859,17 +573,19 @@ impl Piece<'_> {
     }
 }
 
-/// The place of each particle of each list among all, in the order of their numbers.
-fn numbers(particles: &ParticleState) -> Vec<Vec<u32>> {
-    let mut numbers: Vec<Vec<u32>> = particles.lists.iter().map(|list| vec![0; list.len()]).collect();
-    let lists = particles.lists.iter().enumerate();
-    let mut all: Vec<(u64, u32, u32)> =
-        lists.flat_map(|(l, list)| list.id.iter().zip(0..).map(move |(id, i)| (*id, l as u32, i))).collect();
-    all.par_sort_unstable();
-    for (number, (_, l, i)) in all.into_iter().enumerate() {
-        numbers[l as usize][i as usize] = number as u32;
+impl Order {
+    fn of(particles: &ParticleState) -> Self {
+        let mut numbers: Vec<Vec<u32>> = particles.lists.iter().map(|list| vec![0; list.len()]).collect();
+        let lists = particles.lists.iter().zip(0..);
+        let mut all: Vec<(u64, u32, u32)> =
+            lists.flat_map(|(list, l)| list.id.iter().zip(0..).map(move |(id, i)| (*id, l, i))).collect();
+        all.par_sort_unstable();
+        let places: Vec<(u32, u32)> = all.into_iter().map(|(_, l, i)| (l, i)).collect();
+        for (number, (l, i)) in places.iter().enumerate() {
+            numbers[*l as usize][*i as usize] = number as u32;
+        }
+        Self { numbers, places }
     }
-    numbers
 }
 
 impl Adjoint for CpuAdjoint {

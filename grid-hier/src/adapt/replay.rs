@@ -77,9 +77,11 @@ impl Replay {
                     let each = (0..list.len()).map(|i| (list.level as usize, Parcel::of(list, i)));
                     out.extend(each.map(|(level, parcel)| (parcel.id, (level, parcel))));
                 }
-                LevelChange::Move { id, to } => {
-                    let (from, parcel) = out.remove(id).ok_or_else(|| unknown(*id))?;
-                    out.insert(*id, (*to as usize, moved(parcel, from, *to as usize)));
+                LevelChange::Move { ids, to } => {
+                    for id in ids {
+                        let (from, parcel) = out.remove(id).ok_or_else(|| unknown(*id))?;
+                        out.insert(*id, (*to as usize, moved(parcel, from, *to as usize)));
+                    }
                 }
             }
         }
@@ -98,11 +100,13 @@ impl Replay {
         let mut out = HashMap::new();
         for change in &adapted.changes {
             match change {
-                LevelChange::Split { id, .. } | LevelChange::Move { id, .. } | LevelChange::Leave { id } => {
+                LevelChange::Split { id, .. } | LevelChange::Leave { id } => {
                     out.insert(*id, None);
                 }
                 LevelChange::Come(_) => {}
-                LevelChange::Merge { members } => out.extend(members.iter().map(|id| (*id, None))),
+                LevelChange::Merge { members: ids } | LevelChange::Move { ids, .. } => {
+                    out.extend(ids.iter().map(|id| (*id, None)));
+                }
             }
         }
         for list in &mut particles.lists {
@@ -124,15 +128,14 @@ impl Replay {
     /// From what a loss owes to the particles behind the changes, in the order of their numbers, to what it owes to those before them. What has come is owed
     /// nothing before it was there, and what has left owes nothing behind that.
     pub fn backwards(&self, before: &ParticleState, replayed: &Replayed, owed: &mut Cotangents) {
-        let mut of: HashMap<u64, usize> = HashMap::new();
-        for (number, (l, i)) in by_number(&replayed.after).into_iter().enumerate() {
-            of.insert(replayed.after.lists[l].id[i], number);
-        }
+        let ids: Vec<u64> =
+            by_number(&replayed.after).into_iter().map(|(l, i)| replayed.after.lists[l].id[i]).collect();
+        let number_of = |id: u64| ids.binary_search(&id).ok();
         let mut changed: HashMap<u32, Cotangent> = HashMap::new();
         let behind = |changed: &mut HashMap<u32, Cotangent>, owed: &Cotangents, id: u32| {
             changed
                 .remove(&id)
-                .unwrap_or_else(|| of.get(&u64::from(id)).map_or_else(Cotangent::default, |n| get(owed, *n)))
+                .unwrap_or_else(|| number_of(u64::from(id)).map_or_else(Cotangent::default, |n| get(owed, n)))
         };
         for step in replayed.steps.iter().rev() {
             match step {
@@ -155,7 +158,7 @@ impl Replay {
             let id = before.lists[l].id[i];
             match u32::try_from(id).ok().and_then(|id| changed.get(&id)) {
                 Some(one) => put(&mut all, number, one),
-                None => put(&mut all, number, &of.get(&id).map_or_else(Cotangent::default, |n| get(owed, *n))),
+                None => put(&mut all, number, &number_of(id).map_or_else(Cotangent::default, |n| get(owed, n))),
             }
         }
         all.lags = owed.lags;

@@ -28,6 +28,9 @@ pub struct Affine {
     pub rows: [f64; 9],
 }
 
+/// What the nodes around a particle hold, z fastest: of each three numbers that belong to its directions, and one.
+pub type Tile = [[f64; 4]; AROUND];
+
 /// One of the nodes around a particle, as this sees it.
 #[derive(Clone, Copy)]
 struct Seen {
@@ -36,12 +39,35 @@ struct Seen {
     slope: [f64; 3],
     /// The way to it [cells].
     way: [f64; 3],
-    /// What an affine quantity comes to there.
-    value: [f64; 3],
+    /// What an affine quantity comes to there, and a number that is the same everywhere.
+    value: [f64; 4],
+}
+
+/// Adds a multiple. Four numbers are a register's.
+#[inline(always)]
+fn add(sum: &mut [f64; 4], factor: f64, four: &[f64; 4]) {
+    for c in 0..4 {
+        sum[c] += factor * four[c];
+    }
+}
+
+/// Products, number by number.
+#[inline(always)]
+fn times(a: &[f64; 4], b: &[f64; 4]) -> [f64; 4] {
+    std::array::from_fn(|c| a[c] * b[c])
+}
+
+impl Affine {
+    /// Its columns.
+    #[inline(always)]
+    fn columns(&self) -> [[f64; 4]; 3] {
+        [0, 1, 2].map(|d| [self.rows[d], self.rows[3 + d], self.rows[6 + d], 0.0])
+    }
 }
 
 impl Stencil {
     /// Of a particle at fraction `f` of its cell, with cells of width `h` [m].
+    #[inline(always)]
     pub fn new(f: [f64; 3], h: f64) -> Self {
         Self {
             weights: f.map(weights),
@@ -50,94 +76,71 @@ impl Stencil {
         }
     }
 
-    /// Shows the nodes around the particle, z fastest, and what an affine quantity of it comes to there.
+    /// Node `n` around the particle, and what an affine quantity of it comes to there, beside a constant.
     #[inline(always)]
-    fn each(&self, quantity: &Affine, mut see: impl FnMut(usize, Seen)) {
-        let [x, y, z] = self.weights;
-        let [dx, dy, dz] = self.slopes;
-        let way = |d: usize, i: usize| self.first[d] + i as f64;
-        let grown = |from: [f64; 3], d: usize, i: usize| -> [f64; 3] {
-            [0, 1, 2].map(|c| from[c] + quantity.rows[3 * c + d] * way(d, i))
-        };
-        for i in 0..3 {
-            let of_x = grown(quantity.at, 0, i);
-            for j in 0..3 {
-                let (xy, of_xy) = (x[i] * y[j], grown(of_x, 1, j));
-                let (slope_x, slope_y) = (dx[i] * y[j], x[i] * dy[j]);
-                for k in 0..3 {
-                    let seen = Seen {
-                        weight: xy * z[k],
-                        slope: [slope_x * z[k], slope_y * z[k], xy * dz[k]],
-                        way: [way(0, i), way(1, j), way(2, k)],
-                        value: grown(of_xy, 2, k),
-                    };
-                    see(9 * i + 3 * j + k, seen);
-                }
-            }
-        }
+    fn see(&self, quantity: &Affine, constant: f64, n: usize) -> Seen {
+        let at = [n / 9, n / 3 % 3, n % 3];
+        let way = [0, 1, 2].map(|d| self.first[d] + at[d] as f64);
+        let [x, y, z] = [0, 1, 2].map(|d| self.weights[d][at[d]]);
+        let [dx, dy, dz] = [0, 1, 2].map(|d| self.slopes[d][at[d]]);
+        let columns = quantity.columns();
+        let mut value = [quantity.at[0], quantity.at[1], quantity.at[2], constant];
+        (0..3).for_each(|d| add(&mut value, way[d], &columns[d]));
+        Seen { weight: x * y * z, slope: [dx * y * z, x * dy * z, x * y * dz], way, value }
     }
 
-    /// P2G: gives each node around the particle momentum and mass, of `momentum` that grows by so much a cell, and `mass`.
+    /// P2G: adds to each node around the particle momentum and mass, of `momentum` that grows by so much a cell, and `mass`.
     #[inline(always)]
-    pub fn scatter(&self, momentum: &Affine, mass: f64, mut give: impl FnMut(usize, [f64; 4])) {
-        self.each(momentum, |n, Seen { weight, value: [x, y, z], .. }| {
-            give(n, [weight * x, weight * y, weight * z, weight * mass]);
-        });
+    pub fn scatter(&self, momentum: &Affine, mass: f64, tile: &mut Tile) {
+        for (n, node) in tile.iter_mut().enumerate() {
+            let Seen { weight, value, .. } = self.see(momentum, mass, n);
+            add(node, weight, &value);
+        }
     }
 
     /// The adjoint of [`scatter`](Self::scatter): from cotangents of the nodes' momentum and mass to those of `momentum`, and of the particle's place [1/m].
     #[inline(always)]
-    pub fn scatter_back(
-        &self,
-        h: f64,
-        momentum: &Affine,
-        mass: f64,
-        cotangent: impl Fn(usize) -> [f64; 4],
-    ) -> (Affine, [f64; 3]) {
-        let (mut back, mut place) = (Affine::default(), [0.0; 3]);
-        self.each(momentum, |n, Seen { weight, slope, way, value }| {
-            let [x, y, z, m] = cotangent(n);
-            let owed = x * value[0] + y * value[1] + z * value[2] + m * mass;
-            let weighed = [weight * x, weight * y, weight * z];
-            for i in 0..3 {
-                back.at[i] += weighed[i];
-                (0..3).for_each(|j| back.rows[3 * i + j] += weighed[i] * way[j]);
-                place[i] += slope[i] * owed;
+    pub fn scatter_back(&self, h: f64, momentum: &Affine, mass: f64, tile: &Tile) -> (Affine, [f64; 3]) {
+        let (mut at, mut columns, mut moved) = ([0.0; 4], [[0.0; 4]; 3], [[0.0; 4]; 3]);
+        for (n, node) in tile.iter().enumerate() {
+            let Seen { weight, slope, way, value } = self.see(momentum, mass, n);
+            let weighed = node.map(|owed| weight * owed);
+            let owed = times(node, &value);
+            add(&mut at, 1.0, &weighed);
+            for d in 0..3 {
+                add(&mut columns[d], way[d], &weighed);
+                add(&mut moved[d], slope[d], &owed);
             }
-        });
-        // The way to a node becomes shorter as the particle moves there.
-        for j in 0..3 {
-            place[j] -= (0..3).map(|i| back.at[i] * momentum.rows[3 * i + j]).sum::<f64>() / h;
         }
+        let back = Affine { at: [at[0], at[1], at[2]], rows: std::array::from_fn(|e| columns[e % 3][e / 3]) };
+        // The way to a node becomes shorter as the particle moves there.
+        let place = std::array::from_fn(|d| {
+            let shorter: f64 = (0..3).map(|i| back.at[i] * momentum.rows[3 * i + d]).sum();
+            moved[d].iter().sum::<f64>() - shorter / h
+        });
         (back, place)
     }
 
-    /// The adjoint of G2P: from cotangents of a particle's new velocity and of its new C to those of the nodes' velocities, which go to `give`, and of the place at which
-    /// it reads these, `velocity` [1/m].
+    /// The adjoint of G2P: from cotangents of a particle's new velocity and of its new C to those of the nodes' velocities, which are added to `owed`, and of the place at which
+    /// it reads these, `velocities` [1/m].
     #[inline(always)]
-    pub fn gather_back(
-        &self,
-        h: f64,
-        cotangent: &Affine,
-        velocity: impl Fn(usize) -> [f64; 3],
-        mut give: impl FnMut(usize, [f64; 3]),
-    ) -> [f64; 3] {
+    pub fn gather_back(&self, h: f64, cotangent: &Affine, velocities: &Tile, owed: &mut Tile) -> [f64; 3] {
         // C = 4/h Σ w u (way)ᵀ.
         let per_cell = Affine { at: cotangent.at, rows: cotangent.rows.map(|c| 4.0 / h * c) };
-        let (mut place, mut read) = ([0.0; 3], [0.0; 3]);
-        self.each(&per_cell, |n, Seen { weight, slope, value, .. }| {
-            let u = velocity(n);
-            give(n, [weight * value[0], weight * value[1], weight * value[2]]);
-            let owed = u[0] * value[0] + u[1] * value[1] + u[2] * value[2];
+        let (mut moved, mut read) = ([[0.0; 4]; 3], [0.0; 4]);
+        for (n, (node, owed)) in velocities.iter().zip(owed).enumerate() {
+            let Seen { weight, slope, value, .. } = self.see(&per_cell, 0.0, n);
+            add(owed, weight, &value);
+            add(&mut read, weight, node);
+            let along = times(node, &value);
             for d in 0..3 {
-                place[d] += slope[d] * owed;
-                read[d] += weight * u[d];
+                add(&mut moved[d], slope[d], &along);
             }
-        });
-        for j in 0..3 {
-            place[j] -= (0..3).map(|i| read[i] * per_cell.rows[3 * i + j]).sum::<f64>() / h;
         }
-        place
+        std::array::from_fn(|d| {
+            let shorter: f64 = (0..3).map(|i| read[i] * per_cell.rows[3 * i + d]).sum();
+            moved[d].iter().sum::<f64>() - shorter / h
+        })
     }
 }
 
@@ -194,20 +197,20 @@ mod tests {
     #[test]
     fn what_particles_give_has_its_adjoint() {
         let (h, f) = (0.3, [0.2, 0.55, 0.9]);
-        let cotangents: [[f64; 4]; AROUND] = std::array::from_fn(|n| some(100 + 7 * n as u64));
+        let cotangents: Tile = std::array::from_fn(|n| some(100 + 7 * n as u64));
         // Place, velocity and rows.
         let mass = 0.8;
         let loss = |x: [f64; 15]| {
             let momentum = Affine { at: [x[3], x[4], x[5]], rows: std::array::from_fn(|e| x[6 + e]) };
             let place = std::array::from_fn(|d| f[d] + x[d] / h);
-            let mut sum = 0.0;
-            Stencil::new(place, h).scatter(&momentum, mass, |n, given| sum += dot(&given, &cotangents[n]));
-            sum
+            let mut tile = [[0.0; 4]; AROUND];
+            Stencil::new(place, h).scatter(&momentum, mass, &mut tile);
+            dot(tile.as_flattened(), cotangents.as_flattened())
         };
         let mut at: [f64; 15] = some(1);
         at[..3].fill(0.0);
         let momentum = Affine { at: [at[3], at[4], at[5]], rows: std::array::from_fn(|e| at[6 + e]) };
-        let (back, place) = Stencil::new(f, h).scatter_back(h, &momentum, mass, |n| cotangents[n]);
+        let (back, place) = Stencil::new(f, h).scatter_back(h, &momentum, mass, &cotangents);
         let along: [f64; 15] = some(50);
         let given = dot(&place, &along[..3]) + dot(&back.at, &along[3..6]) + dot(&back.rows, &along[6..15]);
         let found = slope(loss, at, along);
@@ -217,29 +220,26 @@ mod tests {
     #[test]
     fn what_particles_read_has_its_adjoint() {
         let (h, f) = (0.3, [0.7, 0.45, 0.1]);
-        let velocities: [[f64; 3]; AROUND] = std::array::from_fn(|n| some(200 + 5 * n as u64));
-        let changes: [[f64; 3]; AROUND] = std::array::from_fn(|n| some(300 + 5 * n as u64));
+        let velocities: Tile = std::array::from_fn(|n| some(200 + 5 * n as u64));
+        let changes: Tile = std::array::from_fn(|n| some(300 + 5 * n as u64));
         let cotangent = Affine { at: some(3), rows: some(9) };
         let way: [f64; 3] = some(40);
         let loss = |x: [f64; 1]| {
             let stencil = Stencil::new(std::array::from_fn(|d| f[d] + x[0] * way[d] / h), h);
             let mut read = Affine::default();
-            stencil.each(&Affine::default(), |n, Seen { weight, way, .. }| {
+            for n in 0..AROUND {
+                let Seen { weight, way, .. } = stencil.see(&Affine::default(), 0.0, n);
                 for i in 0..3 {
                     let u = velocities[n][i] + x[0] * changes[n][i];
                     read.at[i] += weight * u;
                     (0..3).for_each(|j| read.rows[3 * i + j] += 4.0 / h * weight * u * way[j]);
                 }
-            });
+            }
             dot(&read.at, &cotangent.at) + dot(&read.rows, &cotangent.rows)
         };
-        let mut owed = 0.0;
-        let place = Stencil::new(f, h).gather_back(
-            h,
-            &cotangent,
-            |n| velocities[n],
-            |n, given| owed += dot(&given, &changes[n]),
-        );
+        let mut owed = [[0.0; 4]; AROUND];
+        let place = Stencil::new(f, h).gather_back(h, &cotangent, &velocities, &mut owed);
+        let owed = dot(owed.as_flattened(), changes.as_flattened());
         let (given, found) = (owed + dot(&place, &way), slope(loss, [0.0], [1.0]));
         assert!((given - found).abs() < 1e-9 * found.abs().max(1.0), "{given} {found}");
     }

@@ -1,6 +1,7 @@
 //! Bodies in a step backwards: they meet the nodes and particles near them as they did, and what a loss owes goes back through that.
 
-use super::{ASKED, CpuAdjoint, LevelGrid, Nodes, Step, parameter_slopes};
+use super::nodes::Nodes;
+use super::{ASKED, CpuAdjoint, LevelGrid, Step, parameter_slopes};
 use barchan_core::account::BATCH;
 use barchan_core::batch::{Matter, Motion, Owed, Plane};
 use barchan_core::contact::adjoint::{BodyInStep, NearCotangents};
@@ -12,6 +13,7 @@ use barchan_core::plan::PlannedMaterial;
 use barchan_core::{Aabb, Coupling, Error, NearParticle, NodeBatch, ParticleState, Plan, Result, Vec3, Wrench};
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::near::{boxes_near_block, gather_block, is_near_block};
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::ops::Range;
 
@@ -318,18 +320,24 @@ impl Around<'_> {
         let LevelGrid { h, bounds } = self.grid();
         let (h, periods) = (*h, bounds.periods());
         let in_batch: HashMap<usize, u32> = of_nodes.iter().zip(0..).map(|(node, number)| (*node, number)).collect();
-        let mut boxes_near: HashMap<[i32; 3], Vec<Aabb>> = HashMap::new();
+        let Some(around_all) = boxes.iter().copied().reduce(|all, one| all.union(&one)) else { return Vec::new() };
         let mut found = Vec::new();
         let all = self.particles.lists.iter().zip(self.numbers);
         for (list, numbers) in all.filter(|(list, _)| list.level as usize == self.level) {
-            for (i, number) in numbers.iter().enumerate() {
-                let (cell, position) = (list.cell[i], list.position(i));
-                let key = block::of_cell(cell);
-                let images = || boxes_near_block(boxes, key.map(|k| k * block::SIDE), h, 1.5 * h, periods);
-                let near = if periods == [0; 3] { boxes } else { boxes_near.entry(key).or_insert_with(images) };
-                if !near.iter().any(|one| one.contains(position)) {
-                    continue;
+            // Boxes have images where ends of the world are joined, each block its own.
+            let is_near = |seen: &mut HashMap<[i32; 3], Vec<Aabb>>, i: usize| {
+                let position = list.position(i);
+                if periods == [0; 3] {
+                    return around_all.contains(position) && boxes.iter().any(|one| one.contains(position));
                 }
+                let key = block::of_cell(list.cell[i]);
+                let images = || boxes_near_block(boxes, key.map(|k| k * block::SIDE), h, 1.5 * h, periods);
+                seen.entry(key).or_insert_with(images).iter().any(|one| one.contains(position))
+            };
+            let each = (0..list.len()).into_par_iter().with_min_len(BATCH);
+            let near = each.map_init(HashMap::new, |seen, i| is_near(seen, i).then_some((i, numbers[i])));
+            for (i, number) in near.flatten_iter().collect::<Vec<_>>() {
+                let (cell, position) = (list.cell[i], list.position(i));
                 let (to_first, place) = NearParticle::between_nodes(list.offset[i]);
                 let cube = self.cube(std::array::from_fn(|d| cell[d] + to_first[d]), &in_batch);
                 if cube == [NodeBatch::NONE; 8] {
@@ -344,7 +352,7 @@ impl Around<'_> {
                     modulus: self.adjoint.ground.moduli[material],
                 });
                 batch.cubes.push(cube);
-                found.push((*number as usize, material));
+                found.push((number as usize, material));
             }
         }
         found
