@@ -75,10 +75,8 @@ impl<T: Scalar> CpuEngine<T> {
             let mut lists = Vec::new();
             for same in places.chunk_by(|a, b| (a.0, a.1) == (b.0, b.1)) {
                 let (l, i, ..) = same[0];
-                let list = &self.levels[l].store.lists[i];
-                let mut out = list.empty_copy(l, self.levels[l].h());
-                same.iter().for_each(|&(_, _, chunk, lane)| list.copy_to(&mut out, chunk, lane));
-                lists.push(out);
+                let here: Vec<(usize, usize)> = same.iter().map(|&(_, _, chunk, lane)| (chunk, lane)).collect();
+                lists.push(self.levels[l].store.lists[i].give_out(l, self.levels[l].h(), &here));
                 changed[l] = true;
                 self.levels[l].store.remove(i, same.iter().map(|&(_, _, chunk, lane)| chunk * CHUNK + lane));
             }

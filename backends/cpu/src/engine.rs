@@ -89,7 +89,7 @@ impl Clocks {
 /// One world on the CPU: its levels, finest first.
 pub(crate) struct CpuEngine<T: Scalar> {
     /// Everything runs in it, so that what is parallel need not enter it each time.
-    pool: Arc<ThreadPool>,
+    pub(crate) pool: Arc<ThreadPool>,
     /// Its threads stay awake during a step.
     awake: Awake,
     pub(crate) isa: Isa,
@@ -461,7 +461,9 @@ impl<T: Scalar> Engine for CpuEngine<T> {
             rest: self.levels.iter().flat_map(|level| level.store.rest.iter().copied()).collect(),
             kept_for: self.levels.iter().map(|level| level.watch.tiles_for).collect(),
         });
-        let lists = self.levels.iter().enumerate().flat_map(|(l, level)| level.store.download(l)).collect();
+        let of_level = |(l, level): (usize, &Level<T>)| level.store.download(l);
+        let lists = || self.levels.par_iter().enumerate().flat_map_iter(of_level).collect();
+        let lists = self.pool.install(lists);
         let archive = self.reach.as_ref().map(Reach::archive).unwrap_or_default();
         ParticleState { lists, sort, archive, ..self.without_particles() }
     }

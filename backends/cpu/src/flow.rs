@@ -21,8 +21,7 @@ impl<T: Scalar> CpuEngine<T> {
             for i in 0..level.store.lists.len() {
                 let list = &level.store.lists[i];
                 let places: Vec<(usize, usize)> = list.places().filter(|&place| gone(&list.spot(place, h))).collect();
-                let mut taken = list.empty_copy(l, h);
-                places.iter().for_each(|&(chunk, lane)| list.copy_to(&mut taken, chunk, lane));
+                let taken = self.pool.install(|| list.give_out(l, h, &places));
                 self.mass -= taken.mass.iter().sum::<f64>();
                 if !places.is_empty() {
                     level.store.remove(i, places.iter().map(|&(chunk, lane)| chunk * CHUNK + lane));

@@ -235,11 +235,11 @@ impl<T: Scalar> List<T> {
     fn take_in(&mut self, list: &ParticleList, counts: impl Iterator<Item = usize>) {
         let chunks = self.lay_out(counts);
         self.resize(chunks);
-        let (open, mut first) = (self.open(), 0);
-        for &run in open.runs {
-            open.fill(run, |i| Parcel::of(list, first + i));
-            first += run.count;
-        }
+        let open = self.open();
+        let firsts: Vec<usize> =
+            open.runs.iter().scan(0, |end, run| Some(std::mem::replace(end, *end + run.count))).collect();
+        let each = open.runs.par_iter().zip(firsts);
+        each.for_each(|(run, first)| open.fill(*run, |i| Parcel::of(list, first + i)));
     }
 
     /// Where a particle is and how large.
@@ -251,11 +251,32 @@ impl<T: Scalar> List<T> {
         }
     }
 
-    fn give_out(&self, level: usize, cell_width: f64, places: impl Iterator<Item = (usize, usize)>) -> ParticleList {
+    /// A list of the particles at some places.
+    pub(crate) fn give_out(&self, level: usize, cell_width: f64, places: &[(usize, usize)]) -> ParticleList {
         let mut out = self.empty_copy(level, cell_width);
-        for (chunk, lane) in places {
-            self.copy_to(&mut out, chunk, lane);
-        }
+        let ParticleList { id, body, cell, offset, velocity, affine, mass, volume0, strain, state, .. } = &mut out;
+        let mut rest: Vec<&mut Vec<f64>> = [mass, volume0].into_iter().chain(strain).chain(state).collect();
+        // Side by side what stands together in a chunk, so that each thread walks through memory.
+        rayon::scope(|scope| {
+            scope.spawn(|_| {
+                for &(chunk, lane) in places {
+                    let motion = self.motion_of(chunk, lane);
+                    velocity.push([motion[0], motion[1], motion[2]]);
+                    affine.push(std::array::from_fn(|i| motion[3 + i]));
+                }
+            });
+            scope.spawn(|_| {
+                for &(chunk, lane) in places {
+                    rest.iter_mut().enumerate().for_each(|(p, plane)| plane.push(self.rest_of(chunk, lane, p)));
+                }
+            });
+            for &(chunk, lane) in places {
+                id.push(u64::from(self.id[chunk][lane]));
+                body.push(self.body[chunk][lane]);
+                cell.push(self.cell_of(chunk, lane));
+                offset.push(self.offset_of(chunk, lane));
+            }
+        });
         out
     }
 
@@ -263,22 +284,6 @@ impl<T: Scalar> List<T> {
     pub(crate) fn empty_copy(&self, level: usize, cell_width: f64) -> ParticleList {
         let planes = self.strain_planes();
         ParticleList::empty(level, self.material, cell_width, planes, self.rest_planes - STRAIN - planes)
-    }
-
-    /// Adds a copy of one particle to a list.
-    pub(crate) fn copy_to(&self, out: &mut ParticleList, chunk: usize, lane: usize) {
-        out.id.push(u64::from(self.id[chunk][lane]));
-        out.body.push(self.body[chunk][lane]);
-        out.cell.push(self.cell_of(chunk, lane));
-        out.offset.push(self.offset_of(chunk, lane));
-        let motion = self.motion_of(chunk, lane);
-        out.velocity.push([motion[0], motion[1], motion[2]]);
-        out.affine.push(std::array::from_fn(|i| motion[3 + i]));
-        out.mass.push(self.mass_of(chunk, lane));
-        out.volume0.push(self.volume0_of(chunk, lane));
-        for (p, plane) in out.strain.iter_mut().chain(&mut out.state).enumerate() {
-            plane.push(self.rest_of(chunk, lane, STRAIN + p));
-        }
     }
 }
 
@@ -524,8 +529,9 @@ impl<T: Scalar> Store<T> {
     }
 
     /// A copy of one level's particles.
-    pub(crate) fn download(&self, level: usize) -> impl Iterator<Item = ParticleList> {
-        self.lists.iter().map(move |list| list.give_out(level, self.cell_width, list.places()))
+    pub(crate) fn download(&self, level: usize) -> Vec<ParticleList> {
+        let of = |list: &List<T>| list.give_out(level, self.cell_width, &list.places().collect::<Vec<_>>());
+        self.lists.par_iter().map(of).collect()
     }
 
     /// The particles for which `wanted` holds, all of which are in the region if there is one, as [`download`](Self::download) gives them.
@@ -541,7 +547,7 @@ impl<T: Scalar> Store<T> {
                 false => Vec::new(),
             };
             let here: Vec<Vec<(usize, usize)>> = list.runs.par_iter().enumerate().map(of_run).collect();
-            list.give_out(level, self.cell_width, here.into_iter().flatten())
+            list.give_out(level, self.cell_width, &here.concat())
         })
     }
 
