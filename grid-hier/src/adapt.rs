@@ -771,9 +771,3 @@ pub fn around_cells(cells: impl Iterator<Item = ([i32; 3], f64)>) -> Option<Aabb
         cells.map(|(cell, h)| Aabb { min: cell.map(|c| f64::from(c) * h), max: cell.map(|c| f64::from(c + 1) * h) });
     boxes.reduce(|all, here| all.union(&here))
 }
-
-/// Where a cell stands in its block.
-fn place(cell: [i32; 3]) -> usize {
-    let local = cell.map(|c| (c & 3) as usize);
-    local[0] * 16 + local[1] * 4 + local[2]
-}

@@ -25,6 +25,13 @@ pub fn of_cell(cell: [i32; 3]) -> [i32; 3] {
     cell.map(|c| c >> 2)
 }
 
+/// A cell's place in its block, z fastest.
+#[inline]
+pub fn place(cell: [i32; 3]) -> usize {
+    let [x, y, z] = cell.map(|c| (c & (SIDE - 1)) as usize);
+    (4 * x + y) * 4 + z
+}
+
 /// A block's sort key: its coordinates, biased and packed 21 bits each, x highest. `None` beyond [`REACH`].
 #[inline]
 pub fn key(block: [i32; 3]) -> Option<u64> {

@@ -16,13 +16,7 @@ const SCENES: [(&str, &[&str]); 2] = [("cube-drop", &["time.end=0.2"]), ("letter
 type Times = BTreeMap<String, f64>;
 
 fn main() -> ExitCode {
-    match run(&std::env::args().skip(1).collect::<Vec<_>>()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(message) => {
-            println!("{message}");
-            ExitCode::from(2)
-        }
-    }
+    arguments::run(run)
 }
 
 fn run(arguments: &[String]) -> Result<(), String> {

@@ -13,13 +13,7 @@ use std::process::ExitCode;
 use std::time::Instant;
 
 fn main() -> ExitCode {
-    match run(&std::env::args().skip(1).collect::<Vec<_>>()) {
-        Ok(()) => ExitCode::SUCCESS,
-        Err(message) => {
-            println!("{message}");
-            ExitCode::from(2)
-        }
-    }
+    arguments::run(run)
 }
 
 fn run(given: &[String]) -> Result<(), String> {

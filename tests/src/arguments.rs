@@ -1,6 +1,7 @@
 //! Options of the examples.
 
 use std::collections::BTreeMap;
+use std::process::ExitCode;
 
 /// Reads options, each with a value: `--name value`.
 ///
@@ -12,4 +13,15 @@ pub fn options<'a>(arguments: &'a [String], known: &[&str]) -> Result<BTreeMap<&
         _ => Err(format!("'{}' is no option with a value; there are {}", pair[0], known.join(", "))),
     };
     arguments.chunks(2).map(one).collect()
+}
+
+/// Runs an example with its arguments. What it says in an error is printed, and ends it with 2.
+pub fn run(example: impl FnOnce(&[String]) -> Result<(), String>) -> ExitCode {
+    match example(&std::env::args().skip(1).collect::<Vec<_>>()) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(message) => {
+            println!("{message}");
+            ExitCode::from(2)
+        }
+    }
 }

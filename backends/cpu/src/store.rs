@@ -253,7 +253,8 @@ impl<T: Scalar> List<T> {
 
     /// A list of the particles at some places.
     pub(crate) fn give_out(&self, level: usize, cell_width: f64, places: &[(usize, usize)]) -> ParticleList {
-        let mut out = self.empty_copy(level, cell_width);
+        let (planes, values) = (self.strain_planes(), self.rest_planes - STRAIN);
+        let mut out = ParticleList::empty(level, self.material, cell_width, planes, values - planes);
         let ParticleList { id, body, cell, offset, velocity, affine, mass, volume0, strain, state, .. } = &mut out;
         let mut rest: Vec<&mut Vec<f64>> = [mass, volume0].into_iter().chain(strain).chain(state).collect();
         // Side by side what stands together in a chunk, so that each thread walks through memory.
@@ -278,12 +279,6 @@ impl<T: Scalar> List<T> {
             }
         });
         out
-    }
-
-    /// A list like this one without particles.
-    pub(crate) fn empty_copy(&self, level: usize, cell_width: f64) -> ParticleList {
-        let planes = self.strain_planes();
-        ParticleList::empty(level, self.material, cell_width, planes, self.rest_planes - STRAIN - planes)
     }
 }
 

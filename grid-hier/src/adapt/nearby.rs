@@ -1,7 +1,7 @@
 //! What lies around particles: regions of levels, and the surface.
 
-use super::{LevelStore, finest_cell, place};
-use crate::block::{self, CELLS, SIDE};
+use super::{LevelStore, finest_cell};
+use crate::block::{self, CELLS, SIDE, place};
 use crate::bounds::Bounds;
 use barchan_core::levels::CellBox;
 use barchan_core::{ParticleList, Regions};

@@ -54,8 +54,7 @@ impl Nodes {
 
     /// The number of the node in a cell, if its block is there.
     pub(super) fn find(&self, cell: [i32; 3]) -> Option<usize> {
-        let [x, y, z] = cell.map(|c| c.rem_euclid(block::SIDE) as usize);
-        Some(self.at.get(&Block(block::of_cell(cell)))? * CELLS + (4 * x + y) * 4 + z)
+        Some(self.at.get(&Block(block::of_cell(cell)))? * CELLS + block::place(cell))
     }
 
     /// The cell of the node with a number.

@@ -150,18 +150,19 @@ impl CpuAdjoint {
             rim.rings.push(ring);
         }
         let mut carried = vec![[0.0; 10]; rim.places.len() * PARENT_CELLS];
-        let of_runs = self.of_carriers(l, &rim, particles, runs, |list, run, at| {
+        let of_runs = self.of_carriers(l, &rim, (particles, runs), |k, run, first| {
+            let list = &particles.lists[k];
             let mut sums = [[0.0; 10]; PARENT_CELLS];
-            for i in run {
-                let (mass, sum) = (list.mass[i], &mut sums[at(i)]);
+            for i in run.particles.clone() {
+                let (mass, sum) = (list.mass[i], &mut sums[run.octant(list, i)]);
                 sum[0] += mass;
                 for (entry, c) in list.affine[i].iter().enumerate() {
                     sum[1 + 3 * (entry % 3) + entry / 3] += mass * list.cell_width * c;
                 }
             }
-            sums
+            (first, sums)
         });
-        for (_, first, sums) in of_runs {
+        for (first, sums) in of_runs {
             let here = carried[first..][..PARENT_CELLS].as_flattened_mut().iter_mut();
             here.zip(sums.as_flattened()).for_each(|(sum, own)| *sum += own);
         }
@@ -186,9 +187,8 @@ impl CpuAdjoint {
             let flips = (0..3).fold(0, |bits, d| bits | u8::from(flipped[d]) << d);
             let turns = (0..3).fold(0, |bits, d| bits | u8::from(cell[d] != image[d]) << d);
             if parents >> n & 1 == 1 {
-                let [x, y, z] = cell.map(|c| c.rem_euclid(SIDE) as usize);
-                let block = number_of(coarser.wrap(block::of_cell(cell)), &mut draft.parents);
-                let at = (block * CELLS + (4 * x + y) * 4 + z) as u32;
+                let parent = number_of(coarser.wrap(block::of_cell(cell)), &mut draft.parents);
+                let at = (parent * CELLS + block::place(cell)) as u32;
                 draft.ring.parents[n] = Seen { at, flips, turns };
             }
             if means >> n & 1 == 1 {
@@ -200,27 +200,19 @@ impl CpuAdjoint {
         draft
     }
 
-    /// What is found of each run of particles of a level that are in blocks with parent cells of its rim, with its list and where sums over these cells begin. `find` is told how to find a
-    /// particle's parent cell among them.
+    /// What is found of each run of particles of a level that are in blocks with parent cells of its rim: `find` is given the list's number, and where sums over the block's parent cells begin.
     fn of_carriers<T: Send>(
         &self,
         l: usize,
         rim: &Rim,
-        particles: &ParticleState,
-        runs: &[Vec<Run>],
-        find: impl Fn(&ParticleList, Range<usize>, &dyn Fn(usize) -> usize) -> T + Sync,
-    ) -> Vec<(usize, usize, T)> {
+        (particles, runs): (&ParticleState, &[Vec<Run>]),
+        find: impl Fn(usize, &Run, usize) -> T + Sync,
+    ) -> Vec<T> {
         let bounds = &self.grids[l].bounds;
-        let own = particles.lists.iter().enumerate().filter(|(_, list)| list.level as usize == l);
-        let all: Vec<(usize, &ParticleList, &Run)> =
-            own.flat_map(|(k, list)| runs[k].iter().map(move |run| (k, list, run))).collect();
-        let of_run = |(k, list, run): (usize, &ParticleList, &Run)| {
-            let first = *rim.places.get(&Block(bounds.wrap(run.block)))?;
-            let middle = run.block.map(|b| SIDE * b + SIDE / 2);
-            let at = |i: usize| octant([0, 1, 2].map(|d| list.cell[i][d] >= middle[d]));
-            Some((k, first, find(list, run.particles.clone(), &at)))
-        };
-        all.into_par_iter().filter_map(of_run).collect()
+        let own = runs.iter().enumerate().filter(|(k, _)| particles.lists[*k].level as usize == l);
+        let all: Vec<(usize, &Run)> = own.flat_map(|(k, runs)| runs.iter().map(move |run| (k, run))).collect();
+        let first = |run: &Run| rim.places.get(&Block(bounds.wrap(run.block))).copied();
+        all.into_par_iter().filter_map(|(k, run)| Some(find(k, run, first(run)?))).collect()
     }
 
     /// The adjoint of [`hand_over`](Self::hand_over): from what is owed to the coarser level's sums to what is owed to the rim's, and to particles' C, which is returned by list and place there.
@@ -241,19 +233,23 @@ impl CpuAdjoint {
                 }
             }
         }
-        let of_runs = self.of_carriers(l, rim, particles, runs, |list, run, at| {
-            let scale = |i: usize| list.mass[i] * list.cell_width;
-            run.map(|i| (i, at(i), scale(i))).collect::<Vec<_>>()
-        });
-        let all = of_runs.into_par_iter().flat_map_iter(|(list, first, run)| {
-            let of = |(i, at, scale): (usize, usize, f64)| {
+        let of_runs = self.of_carriers(l, rim, (particles, runs), |k, run, first| {
+            let list = &particles.lists[k];
+            let of = |i: usize| {
                 // Some cells of a block nobody has asked.
-                let of = &of_carried[first + at];
-                (*of != [0.0; 10]).then(|| (list, i, std::array::from_fn(|e| scale * of[1 + 3 * (e % 3) + e / 3])))
+                let (of, scale) = (&of_carried[first + run.octant(list, i)], list.mass[i] * list.cell_width);
+                (*of != [0.0; 10]).then(|| (k, i, std::array::from_fn(|e| scale * of[1 + 3 * (e % 3) + e / 3])))
             };
-            run.into_iter().filter_map(of).collect::<Vec<_>>()
+            run.particles.clone().filter_map(of).collect::<Vec<_>>()
         });
-        all.collect()
+        of_runs.into_iter().flatten().collect()
+    }
+}
+
+impl Run {
+    /// The parent cell that a particle counts in, among those of the block.
+    fn octant(&self, list: &ParticleList, i: usize) -> usize {
+        octant([0, 1, 2].map(|d| list.cell[i][d] - SIDE * self.block[d] >= SIDE / 2))
     }
 }
 

@@ -205,19 +205,13 @@ impl CpuAdjoint {
                     let mut cell = [bounds.min[0], bounds.min[1], bounds.min[2]];
                     cell[d] = same[0][d] + i as i32 - 1;
                     let (reflected, flipped) = bounds.mirrors.reflected(cell);
-                    let period = bounds.periods()[d];
-                    let at = if period == 0 {
-                        reflected[d]
-                    } else {
-                        bounds.min[d] + (reflected[d] - bounds.min[d]).rem_euclid(period)
-                    };
-                    (at, flipped)
+                    (reflected[d], flipped)
                 })
             });
             let blocks = along.map(|axis| axis.map(|(cell, _)| cell >> 2));
             if last != Some(blocks) {
                 for (n, number) in numbers.iter_mut().enumerate() {
-                    *number = nodes.block([blocks[0][n / 9], blocks[1][n / 3 % 3], blocks[2][n % 3]]);
+                    *number = nodes.block(bounds.wrap([blocks[0][n / 9], blocks[1][n / 3 % 3], blocks[2][n % 3]]));
                 }
                 last = Some(blocks);
             }
@@ -225,8 +219,7 @@ impl CpuAdjoint {
             let mut spot = Spot { particles: start..end, nodes: [0; AROUND], flipped: [0; AROUND] };
             for n in 0..AROUND {
                 let at = [along[0][n / 9], along[1][n / 3 % 3], along[2][n % 3]];
-                let [x, y, z] = at.map(|(cell, _)| cell.rem_euclid(block::SIDE) as usize);
-                spot.nodes[n] = (numbers[n] * CELLS + (4 * x + y) * 4 + z) as u32;
+                spot.nodes[n] = (numbers[n] * CELLS + block::place(at.map(|(cell, _)| cell))) as u32;
                 for (_, flipped) in at {
                     (0..3).for_each(|d| spot.flipped[n] ^= u8::from(flipped[d]) << d);
                 }
