@@ -170,12 +170,17 @@ impl Homes {
 
     /// Where each particle stands, and its block, cell by cell.
     pub(crate) fn places(&self) -> Vec<(usize, Block)> {
+        self.places_in(|_| true)
+    }
+
+    /// The same of particles of some blocks.
+    pub(crate) fn places_in(&self, is_wanted: impl Fn(&Block) -> bool + Sync) -> Vec<(usize, Block)> {
         let of_block = |(b, block): (usize, &Block)| {
             let ((starts, count), block) = (self.starts(b), *block);
             let first = starts[0] as usize;
             slots(starts, count).into_iter().map(move |slot| (first + slot, block))
         };
-        self.blocks.par_iter().enumerate().flat_map_iter(of_block).collect()
+        self.blocks.par_iter().enumerate().filter(|(_, block)| is_wanted(block)).flat_map_iter(of_block).collect()
     }
 
     /// Least and greatest block, if there is any.

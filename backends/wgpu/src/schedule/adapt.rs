@@ -177,6 +177,21 @@ impl WgpuBatch {
         Ok(Found { slots, levels: levels.collect() })
     }
 
+    /// Copies of particles, by their slots.
+    pub(crate) fn copies(&mut self, slots: &[u32]) -> Result<Planes<'static>> {
+        let [.., copy] = &self.kernels.set.adapt.as_ref().expect(HAS_LEVELS).find;
+        self.write_words(COUNTED, &[slots.len() as u32]);
+        self.write(self.memory.buffer(Role::Order, 0), 0, bytemuck::cast_slice(slots));
+        self.write_steps(0, &[self.step_constants(0.0, 0)]);
+        let copy = Dispatch { kernel: copy, now: self.memory.now, step: 0, end: self.levels };
+        let parts = self.with_groups(vec![Part { sorting: None, dispatches: vec![copy] }]);
+        // They stand in the order in which they were asked for.
+        let copied: Vec<_> = self.found(slots.len()).skip(1).collect();
+        let (_, words) =
+            Self::run(&Writes::default(), &self.gpu, &mut self.memory, &mut self.clocks, &parts, 0, copied)?;
+        Ok(Planes::of_words(&words, slots.len()).into_owned())
+    }
+
     /// Where the device has put so many of those that it has found: their slots, then what it holds of them.
     pub(crate) fn found(&self, count: usize) -> impl Iterator<Item = Behind> {
         let order = Behind::of(Role::Order, 0, 4 * count as u64);

@@ -2,7 +2,7 @@
 //! in rounds of split and merge.
 
 use crate::device::kernel::Role;
-use crate::device::layout::Planes;
+use crate::device::layout::{Homes, Planes};
 use crate::device::memory::with_room;
 use crate::schedule::batch::WgpuBatch;
 use barchan_core::{Coupling, ParticleList, Result};
@@ -55,34 +55,51 @@ impl WgpuBatch {
         Ok((gone, come))
     }
 
-    /// The particles of each of the tiles, and the slots of all of them, level by level.
+    /// The particles of each of the tiles, and the slots of all of them, level by level. The device copies particles of blocks near
+    /// the tiles, and the host chooses among them.
     pub(crate) fn in_tiles(
-        &self,
+        &mut self,
         w: usize,
         reach: &Reach,
         tiles: &BTreeSet<[i32; 2]>,
     ) -> Result<(Vec<Vec<u32>>, Lists)> {
-        let world = &self.worlds[w];
         let mut gone = vec![Vec::new(); self.levels];
         let mut found: Lists = tiles.iter().map(|tile| (*tile, Vec::new())).collect();
         if tiles.is_empty() {
             return Ok((gone, found));
         }
-        let readback = self.readback();
-        for (l, (level, homes)) in world.levels.iter().zip(readback.homes(w..w + 1)?).enumerate() {
-            let (planes, count) = (readback.planes(level)?, level.particles.len());
-            let going = |(q, block): (usize, [i32; 3])| {
-                let x = planes.spot(q, block, level.h, count).position;
-                let tile = reach.goes_with(planes.body(q), x, &world.adapt.regions, tiles)?;
-                Some((tile, (q, block)))
+        let regions = &self.worlds[w].adapt.regions;
+        // A block lies in one tile. Where its particles were seeded, and which tile they go with, may each be one further.
+        let around = |&[x, y]: &[i32; 2]| (0..25).map(move |n| [x + n / 5 - 2, y + n % 5 - 2]);
+        let near: BTreeSet<[i32; 2]> = tiles.iter().flat_map(around).collect();
+        let of_level = |(l, homes): (usize, Homes)| {
+            homes.places_in(|block| near.contains(&regions.tile_of(block.map(|b| (4 * b) << l))))
+        };
+        let places: Vec<_> = self.readback().homes(w..w + 1)?.into_iter().enumerate().map(of_level).collect();
+        let slots = places.iter().zip(&self.worlds[w].levels).flat_map(|(places, level)| {
+            let first = level.particles.start;
+            places.iter().map(move |(q, _)| (first + q) as u32)
+        });
+        let slots: Vec<u32> = slots.collect();
+        let planes = self.copies(&slots)?;
+
+        let world = &self.worlds[w];
+        let mut first = 0;
+        for (l, (level, places)) in world.levels.iter().zip(&places).enumerate() {
+            let going = |(i, &(_, block)): (usize, &(usize, [i32; 3]))| {
+                let copy = first + i;
+                let x = planes.spot(copy, block, level.h, slots.len()).position;
+                let tile = reach.goes_with(planes.body(copy), x, &world.adapt.regions, tiles)?;
+                Some((tile, (copy, block)))
             };
-            let going: Vec<_> = homes.places().into_par_iter().filter_map(going).collect();
-            gone[l].extend(going.iter().map(|(_, (q, _))| (level.particles.start + q) as u32));
+            let going: Vec<_> = places.par_iter().enumerate().filter_map(going).collect();
+            gone[l].extend(going.iter().map(|(_, (copy, _))| slots[*copy]));
             for (tile, found) in &mut found {
                 let own: Vec<_> = going.iter().filter(|(to, _)| to == tile).map(|(_, place)| *place).collect();
-                let lists = planes.lists(&own, &world.materials, (l, level.h), count);
+                let lists = planes.lists(&own, &world.materials, (l, level.h), slots.len());
                 found.extend(lists.into_iter().filter(|list| !list.is_empty()));
             }
+            first += places.len();
         }
         Ok((gone, found))
     }
