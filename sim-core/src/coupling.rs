@@ -69,7 +69,7 @@ pub enum Command {
         /// World frame [N m s].
         angular: Vec3,
     },
-    /// Be elsewhere, or move otherwise, at once: what it is told besides goes on. Ground where it comes to be is pushed out.
+    /// Be elsewhere, or move otherwise, at once: what it is told besides goes on. Ground stays, also within it: at rest it does not push that out.
     Place(Placement),
 }
 

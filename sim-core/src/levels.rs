@@ -461,13 +461,19 @@ impl Regions {
     }
 }
 
+/// Parent cells from the origin, beyond which a box follows nobody: its ends stay whole numbers of 32 bits however far an agent flies.
+const FARTHEST: f64 = (1 << 21) as f64;
+
 /// The box about an agent, of whole parent cells of width `parent` [m], with so many `half` cells of the level from its middle to each side, or more: it also
 /// holds `inner` (in cells of the level).
 fn ideal(agent: &Aabb, half: u32, inner: Option<CellBox>, parent: f64) -> CellBox {
     let mut chosen = CellBox { min: [0; 3], max: [0; 3] };
     for d in 0..3 {
-        let centre = (0.5 * (agent.min[d] + agent.max[d]) / parent).round() as i32;
-        let reach = |end: f64| ((end / parent - f64::from(centre)).abs() + 1.0).ceil() as i32;
+        let centre = (0.5 * (agent.min[d] + agent.max[d]) / parent).round().clamp(-FARTHEST, FARTHEST) as i32;
+        let reach = |end: f64| {
+            let end = (end / parent).clamp(-FARTHEST, FARTHEST);
+            ((end - f64::from(centre)).abs() + 1.0).ceil() as i32
+        };
         let half = (half as i32 / 2).max(reach(agent.min[d])).max(reach(agent.max[d]));
         (chosen.min[d], chosen.max[d]) = (2 * (centre - half), 2 * (centre + half));
         if let Some(inner) = inner {
@@ -686,6 +692,24 @@ mod tests {
             assert!(boxes[0].min[0] > before.min[0], "{:?}", boxes[0]);
             assert_eq!([boxes[0].min[2], boxes[0].max[2]], [before.min[2], before.max[2]]);
         }
+    }
+
+    /// Symptom guarded against: a panic where cells of an agent that flew off, or was told to, do not fit in 32 bits.
+    #[test]
+    fn an_agent_beyond_all_cells_is_followed_to_the_last_of_them() {
+        let mut regions = regions(3);
+        for far in [1e9, -1e9, 1e300] {
+            regions.follow(&[agent(far, far)]);
+            for boxes in &regions.boxes {
+                assert!((0..3).all(|d| boxes[0].min[d] < boxes[0].max[d]), "{:?}", boxes[0]);
+                assert!(!boxes[0].meets(&regions.world), "{:?}", boxes[0]);
+            }
+        }
+        let wide = Target { bounds: Aabb { min: [-1e9; 3], max: [1e9; 3] }, half: 16 };
+        regions.follow(&[wide]);
+        assert!(regions.boxes.iter().all(|boxes| boxes[0].holds(&regions.world)), "{:?}", regions.boxes);
+        regions.follow(&[agent(0.0, 0.1)]);
+        assert!(regions.contains(0, cell_of([0.0, 0.0, 0.12], 0.01)));
     }
 
     /// A box at a wall ends at the wall: what lies behind belongs to what lies before it.
