@@ -6,6 +6,9 @@ use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::collections::HashMap;
 
+/// Particles may be given velocities [m/s] and affine matrices [1/s] of at most so much: far beyond it, what a step in f32 makes of them is no number.
+const FASTEST: f64 = 1e15;
+
 /// What some particles are to be; what is left out stays.
 pub(crate) struct Change {
     id: Vec<u64>,
@@ -74,8 +77,9 @@ impl Change {
             if let Some(affine) = &self.affine {
                 list.affine[i] = affine[k];
             }
-            if !list.velocity[i].iter().chain(&list.affine[i]).all(|x| x.is_finite()) {
-                return refuse(format!("what is given for particle {id} is not finite"), "give finite numbers");
+            if !list.velocity[i].iter().chain(&list.affine[i]).all(|x| x.abs() <= FASTEST) {
+                let what = format!("what is given for particle {id} is not finite, or beyond {FASTEST:.0e}");
+                return refuse(what, "give finite numbers that a simulation in f32 can hold");
             }
         }
         simulation.set_particles(state)

@@ -319,7 +319,8 @@ impl Gradient {
         PyArray1::from_slice(py, &self.gradient.gravity)
     }
 
-    /// By the parameters of materials, in SI units: a dict by the material's name, of dicts by the parameter's. It is 0 for those that are not differentiable.
+    /// By the parameters of materials, in SI units: a dict by the material's name, of dicts by the parameter's. It is 0 for those that are not differentiable. Materials
+    /// that no particle had on the way are left out.
     #[getter]
     fn parameters<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyDict>> {
         let all = PyDict::new(py);

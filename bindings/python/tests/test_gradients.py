@@ -195,6 +195,7 @@ def test_particles_that_cannot_be_set_stay_as_they_are():
         ([first[0], first[0]], {"velocity": np.zeros((2, 3))}, "comes twice"),
         (first, {"position": [[0, 0, 9]]}, "outside the world"),
         (first, {"velocity": [[0, np.inf, 0]]}, "not finite"),
+        (first, {"velocity": [[0, 1e39, 0]]}, "beyond 1e15"),
         (first, {"position": [[np.nan, 0, 0]]}, "outside the world"),
     ]:
         with pytest.raises(barchan.BodyError, match=says):
