@@ -130,6 +130,8 @@ pub struct Watch {
     pub sums: Vec<Sought>,
     /// Heights of the ground at points [m].
     pub heights: Vec<[f64; 2]>,
+    /// They are those of soft ground alone. Otherwise tools that stay where they are count as ground.
+    pub only_soft: bool,
     /// How many particles are sampled of each level, the finest first.
     pub sample: Vec<usize>,
     /// Particles of which all places are wanted: those in a box.
@@ -184,7 +186,7 @@ impl Simulation {
             Some(found) => self.completed(&watch.heights, found),
             None => self.heights(&watch.heights)?,
         };
-        let heights = self.with_hard_ground(&watch.heights, heights);
+        let heights = if watch.only_soft { heights } else { self.with_hard_ground(&watch.heights, heights) };
         let exact = Fields { exact: true, ..Fields::default() };
         let places = watch.places.map(|region| self.read(Some(region), exact)).transpose()?;
         Ok(Seen { sums, heights, sample, places: places.map(|reading| reading.exact).unwrap_or_default() })

@@ -18,6 +18,13 @@ fn stacked<'py, T: Element>(
     Ok(PyArray1::from_iter(py, values).reshape(shape)?.into_any())
 }
 
+/// Heights [m] at as many points of each world; NaN where there is neither ground nor floor.
+pub(crate) fn heights<'py>(py: Python<'py>, all: &[impl AsRef<[Option<f64>]>]) -> PyResult<Bound<'py, PyAny>> {
+    let points = all.first().map_or(0, |one| one.as_ref().len());
+    let values = all.iter().flat_map(|one| one.as_ref()).map(|z| z.unwrap_or(f64::NAN));
+    stacked(py, all.len(), &[points], values)
+}
+
 /// A robot in each world, with its joints, and the heights around it, if they were asked for: a `RobotArrays` record.
 pub(crate) fn robots<'py>(
     py: Python<'py>,
@@ -43,10 +50,7 @@ pub(crate) fn robots<'py>(
     let first = || all.iter().take(1);
     let joint_names: Vec<&str> = first().flat_map(|(_, joints)| joints).map(|joint| &*joint.name).collect();
     let link_names: Vec<&str> = first().flat_map(|(robot, _)| &robot.links).map(|link| &*link.name).collect();
-    let heights = scans.map(|scans| {
-        let points = scans.first().map_or(0, |scan| scan.heights.len());
-        stacked(py, worlds, &[points], scans.iter().flat_map(|scan| scan.heights.iter().map(|z| z.unwrap_or(f64::NAN))))
-    });
+    let heights = scans.map(|scans| heights(py, &scans.iter().map(|scan| &scan.heights).collect::<Vec<_>>()));
     let fields = [
         ("joint_names", joint_names.into_bound_py_any(py)?),
         ("link_names", link_names.into_bound_py_any(py)?),

@@ -93,6 +93,39 @@ pub(crate) fn chosen(worlds: Option<&Bound<'_, PyAny>>, count: usize) -> PyResul
     }
 }
 
+/// Points of the ground plan [m], of shape (n, 2).
+pub(crate) fn points_of_plan(points: &Numbers<'_>) -> PyResult<Vec<[f64; 2]>> {
+    match (points.as_array().shape(), are_finite(points)) {
+        (&[_, 2], true) => Ok(pairs(points)),
+        (shape, _) => Err(PyValueError::new_err(format!(
+            "points: their shape is {shape:?}; it should be (n, 2), of finite numbers"
+        ))),
+    }
+}
+
+/// The same for each of so many worlds: (n, 2) for all of them, or (worlds, n, 2), each world its own.
+pub(crate) fn points_per_world(points: &Numbers<'_>, worlds: usize) -> PyResult<Vec<Vec<[f64; 2]>>> {
+    match (points.as_array().shape(), are_finite(points)) {
+        (&[_, 2], true) => Ok(vec![pairs(points); worlds]),
+        (&[of, count, 2], true) if of == worlds => {
+            let mut all = pairs(points).into_iter();
+            Ok((0..worlds).map(|_| all.by_ref().take(count).collect()).collect())
+        }
+        (shape, _) => Err(PyValueError::new_err(format!(
+            "points: their shape is {shape:?}; it should be (n, 2) for all worlds or ({worlds}, n, 2), of finite numbers"
+        ))),
+    }
+}
+
+fn are_finite(points: &Numbers<'_>) -> bool {
+    points.as_array().iter().all(|x| x.is_finite())
+}
+
+/// Numbers two by two.
+fn pairs(points: &Numbers<'_>) -> Vec<[f64; 2]> {
+    points.as_array().iter().copied().collect::<Vec<_>>().chunks_exact(2).map(|xy| [xy[0], xy[1]]).collect()
+}
+
 /// Rows of a command for so many worlds: one row for all of them, or one for each.
 pub(crate) fn per_world(values: Option<&Numbers<'_>>, what: &str, worlds: usize) -> PyResult<Vec<Option<Vec<f64>>>> {
     let Some(values) = values else { return Ok(vec![None; worlds]) };

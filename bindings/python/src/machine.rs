@@ -94,6 +94,23 @@ impl Machine {
         Ok(chosen.iter().map(|&world| all[world].clone()).collect())
     }
 
+    /// Heights of the soft ground in some worlds, at points of each.
+    pub(crate) fn heights(
+        &mut self,
+        points: Vec<Vec<[f64; 2]>>,
+        chosen: &[usize],
+    ) -> barchan::Result<Vec<Vec<Option<f64>>>> {
+        match self {
+            Self::One(simulation) => points.iter().map(|points| simulation.heights(points)).collect(),
+            Self::Many(worlds) => {
+                let mut all = vec![Vec::new(); worlds.len()];
+                chosen.iter().zip(points).for_each(|(&world, points)| all[world] = points);
+                let mut found = worlds.heights(all)?;
+                Ok(chosen.iter().map(|&world| std::mem::take(&mut found[world])).collect())
+            }
+        }
+    }
+
     /// Up to `count` steps of every world, as many as go in a slice, and how many that were. Of a failure the first one is told, after all others
     /// have taken their steps.
     pub(crate) fn steps(&mut self, count: usize) -> Result<usize, Failure> {

@@ -3,8 +3,8 @@
 use crate::change::Change;
 use crate::errors::{OrRaise, exception, raised, warn};
 use crate::given::{
-    Numbers, axes, blows, check_count, check_world, chosen, first_or_each, named, per_world, placements, precision,
-    seeds, tell, whole_seed,
+    Numbers, axes, blows, check_count, check_world, chosen, first_or_each, named, per_world, placements,
+    points_of_plan, points_per_world, precision, seeds, tell, whole_seed,
 };
 use crate::gradient::{Signals, Tape};
 use crate::machine::{Machine, Shared};
@@ -26,6 +26,8 @@ use std::sync::{Mutex, MutexGuard};
 const USUAL: [&str; 7] = ["velocity", "mass", "volume0", "id", "body", "material", "level"];
 /// What can be read without all the rest of the particles.
 const READ: [&str; 8] = ["velocity", "affine", "mass", "volume0", "id", "body", "material", "level"];
+/// Most heights that one map holds; they take 40 bytes each on the way.
+const MOST_HEIGHTS: f64 = (1 << 24) as f64;
 
 /// Fields of particles by their names, or which there are.
 fn columns(world: &World, names: &[String]) -> Result<Columns, String> {
@@ -225,6 +227,8 @@ impl Simulation {
     ///
     /// Gradients go through every law, walls, tools, robots, nested levels and unbounded ground; `precision="f64"` makes them as exact as they can be. Ctrl-C ends it, without a tape.
     ///
+    /// The world has moved on, whether there is a tape or not: take a `state` before, to go back to.
+    ///
     /// Raises `PluginError` for what has no adjoint yet, by name (sleep, fields), `BodyError` for `levels.subcycle`, tools that appear or vanish, sources and sinks, and if particles left the world on the way;
     /// else as `step`.
     #[pyo3(signature = (seconds, *, world=0))]
@@ -390,16 +394,26 @@ impl Simulation {
     /// and robots are not seen.
     #[pyo3(signature = (points, *, world=0))]
     fn height_scan<'py>(&self, py: Python<'py>, points: Numbers<'py>, world: usize) -> PyResult<Bound<'py, PyAny>> {
-        let points = points.as_array();
-        let (&[_, 2], true) = (points.shape(), points.iter().all(|x| x.is_finite())) else {
-            let shape = points.shape();
-            return Err(PyValueError::new_err(format!(
-                "points: their shape is {shape:?}; it should be (n, 2), of finite numbers"
-            )));
-        };
-        let points: Vec<[f64; 2]> = points.rows().into_iter().map(|row| [row[0], row[1]]).collect();
+        let points = points_of_plan(&points)?;
         let heights = self.look(py, world, |one| one.heights(&points))?.or_raise(py)?;
         Ok(records::vector(py, heights.into_iter().map(|z| z.unwrap_or(f64::NAN)).collect()))
+    }
+
+    /// The same in all worlds, or in those in `worlds` (a number or a list), float64 of shape (worlds, n) [m]. `points` has the shape (n, 2) [m], or (worlds, n, 2) where
+    /// each world has its own. On a GPU all worlds take one transfer.
+    #[pyo3(signature = (points, *, worlds=None))]
+    fn height_arrays<'py>(
+        &self,
+        py: Python<'py>,
+        points: Numbers<'py>,
+        worlds: Option<&Bound<'_, PyAny>>,
+    ) -> PyResult<Bound<'py, PyAny>> {
+        let mut machine = self.machine(py)?;
+        let chosen = chosen(worlds, machine.len())?;
+        let points = points_per_world(&points, chosen.len())?;
+        let machine = &mut *machine;
+        let heights = py.detach(|| machine.heights(points, &chosen)).or_raise(py)?;
+        arrays::heights(py, &heights)
     }
 
     /// How far the particles and a cloud of points are from one another: a `Chamfer` record. `points` has the shape (n, 3) [m]. On a GPU it is found there.
@@ -482,9 +496,10 @@ impl Simulation {
         };
         let cell = cell.unwrap_or(bounds.cell);
         let count = [0, 1].map(|d| ((max[d] - min[d]) / cell + 1e-6).floor());
-        if !(cell > 0.0 && count.iter().all(|n| (1.0..=65_536.0).contains(n))) {
+        if !(cell > 0.0 && count.iter().all(|n| (1.0..=65_536.0).contains(n)) && count[0] * count[1] <= MOST_HEIGHTS) {
             return Err(PyValueError::new_err(format!(
-                "region and cell: from {min:?} to {max:?} there are {count:?} cells of {cell} m; 1 to 65536 along each axis are possible"
+                "region and cell: from {min:?} to {max:?} there are {count:?} cells of {cell} m; 1 to 65536 along each axis are possible, \
+                 and {MOST_HEIGHTS} in all: give a smaller region or a wider cell"
             )));
         }
         let [x, y]: [Vec<f64>; 2] =
@@ -609,7 +624,8 @@ impl Simulation {
     ///
     /// Every world is told the same, those in `worlds` only (a number or a list), or each its own if arrays have a row for each of them.
     ///
-    /// Raises `BodyError` if there is no such body, it takes no such command, or numbers are not finite.
+    /// Raises `BodyError` if there is no such body, it takes no such command, or numbers are not finite. Of several worlds, those before the one that refuses
+    /// have been told then.
     #[pyo3(signature = (body, *, linear=None, angular=None, joint_targets=None, joint_rates=None, joint_torques=None, worlds=None))]
     #[expect(clippy::too_many_arguments, reason = "they are keywords in Python")]
     fn act(
@@ -685,7 +701,7 @@ impl Simulation {
     /// worlds
     ///     A number or a list; all, if left out. Arrays with a row for each of them give each its own.
     ///
-    /// Ground stays where it is: what comes to be within it is pushed out. Motors go on to what they were told last, at first to where joints are at the start of the scene.
+    /// Ground stays where it is, also what comes to be within the body: a body at rest does not push it out. Put bodies above the ground. Motors go on to what they were told last, at first to where joints are at the start of the scene.
     ///
     /// Raises `BodyError` if there is no such body, it cannot be there or move that way, or numbers do not fit. Of several worlds, others may have been changed then.
     #[pyo3(signature = (
@@ -775,7 +791,7 @@ impl Simulation {
     /// Goes back to a state: what follows is bit for bit what followed then. It is set in all worlds, or in those in `worlds` (a number or a list). A world takes over the
     /// state's random seed.
     ///
-    /// Raises `BodyError` if it is a state of another scene or precision.
+    /// Raises `BodyError` if it is a state of another scene or precision. Of several worlds, those before the one that refuses have gone back then.
     #[pyo3(signature = (state, *, worlds=None))]
     fn restore(&self, py: Python<'_>, state: &State, worlds: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let mut machine = self.machine(py)?;

@@ -121,6 +121,29 @@ def test_heights_are_those_of_the_block_and_the_floor(press):
     assert part.heights.shape == (10, 5) and part.x[0] == pytest.approx(0.11)
     with pytest.raises(ValueError, match="cell"):
         simulation.height_map(cell=0.0)
+    with pytest.raises(ValueError, match="16777216 in all"):
+        simulation.height_map(cell=1e-5)
+
+
+def test_heights_of_all_worlds_are_those_of_each(press):
+    worlds = barchan.Simulation(press, worlds=3)
+    worlds.act("plate", linear=[[0, 0, -0.5], [0, 0, -1.0], [0, 0, -1.5]])
+    worlds.step(40)
+    points = np.random.default_rng(7).uniform(0.02, 0.38, (3, 6, 2))
+    same = worlds.height_arrays(points[0])
+    own = worlds.height_arrays(points)
+    assert same.shape == own.shape == (3, 6)
+    for world in range(3):
+        np.testing.assert_array_equal(same[world], worlds.height_scan(points[0], world=world))
+        np.testing.assert_array_equal(own[world], worlds.height_scan(points[world], world=world))
+    assert np.ptp(same, axis=0).max() > 0.0
+    np.testing.assert_array_equal(worlds.height_arrays(points[[2, 0]], worlds=[2, 0]), own[[2, 0]])
+    alone = barchan.Simulation(press)
+    assert alone.height_arrays(points[0]).shape == (1, 6)
+    with pytest.raises(ValueError, match=r"\[2, 6, 2\]; it should be \(n, 2\) for all worlds or \(3, n, 2\)"):
+        worlds.height_arrays(points[:2])
+    with pytest.raises(IndexError, match="no world 3"):
+        worlds.height_arrays(points[0], worlds=3)
 
 
 def test_chamfer_distances_are_those_of_all_pairs(press):

@@ -27,9 +27,10 @@ use barchan_core::task::{Seen, Watch};
 use barchan_core::{
     Error, HeightScan, Options, Plan, Registry, Result, Scene, Simulation, State, StepReport, Together,
 };
-use rayon::prelude::*;
 use rayon::{ThreadPool, ThreadPoolBuilder};
 use std::panic::resume_unwind;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Worlds of the same scene or of several.
@@ -77,8 +78,16 @@ impl Worlds {
         // How many threads a world has changes no bit of it: one world has all of them.
         let threads = if scenes.len() == 1 { options.threads } else { 1 };
         let options = Options { threads, ..options.clone() };
-        let make = |scene: &Scene| Simulation::new(registry, scene, &options);
-        let apart = || pool.install(|| scenes.par_iter().map(make).collect::<Result<Vec<_>>>());
+        let apart = || -> Result<Vec<_>> {
+            // Worlds are begun in their order, and none after the first that is refused.
+            let refused = AtomicBool::new(false);
+            let wanted = scenes.iter().take_while(|_| !refused.load(Ordering::Relaxed));
+            let make = |scene: &Scene| {
+                let made = Simulation::new(registry, scene, &options);
+                made.inspect_err(|_| refused.store(true, Ordering::Relaxed))
+            };
+            side_by_side(pool.current_num_threads().min(scenes.len()), wanted, make).into_iter().collect()
+        };
         let machine = match together {
             Some(together) => Machine::Together(together),
             None => Machine::Apart(apart()?),
@@ -108,6 +117,11 @@ impl Worlds {
             Machine::Apart(simulations) => simulations,
             Machine::Together(together) => together.worlds_mut(),
         }
+    }
+
+    /// How many worlds have a thread at a time.
+    fn threads(&self) -> usize {
+        self.pool.current_num_threads().min(self.len())
     }
 
     /// Number of worlds.
@@ -171,11 +185,12 @@ impl Worlds {
     pub fn approach(&mut self, until: &[f64], within: Duration) -> Vec<Result<bool>> {
         assert_eq!(until.len(), self.len(), "there is a time for each world");
         let begun = Instant::now();
+        let threads = self.threads();
         match &mut self.machine {
-            Machine::Apart(simulations) => self.pool.install(|| {
-                let worlds = simulations.par_iter_mut().zip(until);
-                worlds.map(|(world, until)| approach_of(world, *until, begun, within)).collect()
-            }),
+            Machine::Apart(simulations) => {
+                let worlds = simulations.iter_mut().zip(until);
+                side_by_side(threads, worlds, |(world, until)| approach_of(world, *until, begun, within))
+            }
             Machine::Together(together) => self.pool.install(|| {
                 // What time is left, where rounding has kept steps from ending all at once, is not worth a step.
                 let is_there = |world: &Simulation, until: f64| world.time() >= until - ROUNDING * until.abs();
@@ -205,39 +220,21 @@ impl Worlds {
 
     /// Runs `action` on every world and returns what it gave in the worlds' order. Worlds on the processor run side by side.
     pub fn each<R: Send>(&mut self, action: impl Fn(&mut Simulation) -> R + Send + Sync) -> Vec<R> {
+        let threads = self.threads();
         match &mut self.machine {
-            Machine::Apart(simulations) => self.pool.install(|| simulations.par_iter_mut().map(action).collect()),
+            Machine::Apart(simulations) => side_by_side(threads, simulations, action),
             Machine::Together(together) => together.worlds_mut().iter_mut().map(action).collect(),
         }
     }
 
-    /// Runs `action` on every world with what is given for it, side by side, and returns what it gave in the worlds' order. Worlds that share a device get
-    /// threads of their own: one of the pool that waits within the device's work could take up another world, which waits for that work to end.
+    /// Runs `action` on every world with what is given for it, side by side, and returns what it gave in the worlds' order.
     pub(crate) fn each_with<T: Send, R: Send>(
         &mut self,
         given: Vec<T>,
         action: impl Fn(&Simulation, T) -> R + Send + Sync,
     ) -> Vec<R> {
-        let act = |(world, given): (&mut Simulation, T)| action(world, given);
-        match &mut self.machine {
-            Machine::Apart(simulations) => {
-                self.pool.install(|| simulations.par_iter_mut().zip(given).map(act).collect())
-            }
-            Machine::Together(together) => {
-                let worlds = together.worlds_mut();
-                let share = worlds.len().div_ceil(self.pool.current_num_threads()).max(1);
-                let mut given = given.into_iter();
-                std::thread::scope(|scope| {
-                    let parts = worlds.chunks_mut(share).map(|worlds| {
-                        let given: Vec<T> = given.by_ref().take(worlds.len()).collect();
-                        scope.spawn(|| worlds.iter_mut().zip(given).map(act).collect::<Vec<R>>())
-                    });
-                    let parts: Vec<_> = parts.collect();
-                    let done = parts.into_iter().map(|part| part.join().unwrap_or_else(|panic| resume_unwind(panic)));
-                    done.flatten().collect()
-                })
-            }
-        }
+        let threads = self.threads();
+        side_by_side(threads, self.simulations_mut().iter_mut().zip(given), |(world, given)| action(world, given))
     }
 
     /// Looks at every world for what is wanted of it ([`Simulation::watch`]), side by side on the processor.
@@ -246,10 +243,11 @@ impl Worlds {
     /// If there is not one for each world.
     pub fn watch(&mut self, watches: &[Watch]) -> Vec<Result<Seen>> {
         assert_eq!(watches.len(), self.len(), "there is one for each world");
+        let threads = self.threads();
         match &mut self.machine {
-            Machine::Apart(simulations) => self
-                .pool
-                .install(|| simulations.par_iter_mut().zip(watches).map(|(world, watch)| world.watch(watch)).collect()),
+            Machine::Apart(simulations) => {
+                side_by_side(threads, simulations.iter_mut().zip(watches), |(world, watch)| world.watch(watch))
+            }
             Machine::Together(together) => together.watch(watches),
         }
     }
@@ -264,6 +262,19 @@ impl Worlds {
         let seen = self.watch(&scanned.iter().map(watch).collect::<Vec<_>>());
         let scan = |((points, base), seen): (_, Result<Seen>)| Ok(HeightScan::new(points, base, seen?.heights));
         scanned.into_iter().zip(seen).map(scan).collect()
+    }
+
+    /// [Heights of the soft ground](Simulation::heights) in every world, each at its own points [m]; worlds that step together take one transfer for them.
+    ///
+    /// # Errors
+    /// Those of [`Simulation::heights`].
+    ///
+    /// # Panics
+    /// If there is not one list of points for each world.
+    pub fn heights(&mut self, points: Vec<Vec<[f64; 2]>>) -> Result<Vec<Vec<Option<f64>>>> {
+        let watch = |heights| Watch { heights, only_soft: true, ..Watch::default() };
+        let seen = self.watch(&points.into_iter().map(watch).collect::<Vec<_>>());
+        seen.into_iter().map(|seen| Ok(seen?.heights)).collect()
     }
 
     /// Sets a world back to its start, or to the start of another scene.
@@ -387,6 +398,31 @@ pub fn check_count(worlds: usize) -> Result<()> {
     }
     let mend = "take fewer worlds, in several processes if need be";
     Err(Error::Capacity { what: "worlds", asked: worlds as u64, cap: MOST_WORLDS as u64, mend })
+}
+
+/// Does `work` on every item, `threads` at a time, and returns what it gave in the items' order.
+///
+/// The threads are no pool's. One of a pool that waits for an engine's own thread, or within a device's work, takes up the next world meanwhile, inside
+/// the call for the last: with hundreds of worlds its stack is full.
+fn side_by_side<T: Send, R: Send>(
+    threads: usize,
+    items: impl IntoIterator<Item = T, IntoIter: Send>,
+    work: impl Fn(T) -> R + Sync,
+) -> Vec<R> {
+    if threads <= 1 {
+        return items.into_iter().map(work).collect();
+    }
+    let items = Mutex::new(items.into_iter().enumerate());
+    // Locked for the item alone, not while it is worked on.
+    let next = || items.lock().unwrap_or_else(PoisonError::into_inner).next();
+    let share = || std::iter::from_fn(next).map(|(place, item)| (place, work(item))).collect::<Vec<_>>();
+    let mut done: Vec<(usize, R)> = std::thread::scope(|scope| {
+        let shares: Vec<_> = (0..threads).map(|_| scope.spawn(share)).collect();
+        let joined = shares.into_iter().map(|share| share.join().unwrap_or_else(|panic| resume_unwind(panic)));
+        joined.flatten().collect()
+    });
+    done.sort_unstable_by_key(|(place, _)| *place);
+    done.into_iter().map(|(_, result)| result).collect()
 }
 
 /// What is made of those scenes that are `changed`, unless one is refused; nothing yet of the others.

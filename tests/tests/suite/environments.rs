@@ -3,6 +3,7 @@
 use barchan::environment::{Environment, Recording};
 use barchan::parameter::{Given, Table};
 use barchan::task::Watch;
+use barchan::worlds::Worlds;
 use barchan::{Aabb, Options, Precision, Scene};
 use barchan_tests::scenes::{everywhere, options, rows, within};
 
@@ -102,6 +103,27 @@ fn what_is_watched_in_all_worlds_is_what_is_there() {
             within(&format!("heights on {} [m]", options.backend), off.fold(0.0, f64::max), 1e-6);
             let mean = seen.heights.iter().flatten().sum::<f64>() / points.len() as f64;
             assert!(mean > 0.03, "{mean}");
+        }
+    }
+}
+
+/// Heights of soft ground in all worlds are those of each, at points of its own; a fixed tool is ground only for those who watch.
+#[test]
+fn heights_in_all_worlds_are_those_of_soft_ground() {
+    let fixed =
+        SCENE.replace("motion = { velocity = {} }\n", "").replace("task = { name = \"SmoothSurface-lite\" }\n", "");
+    for options in everywhere() {
+        let scenes = [3, 4, 5].map(|seed| Scene { seed, ..Scene::from_str(&fixed, "heap.toml", "").unwrap() });
+        let mut worlds = Worlds::new(&barchan::registry(), scenes.to_vec(), &options).unwrap();
+        let points = |w: u32| (0..32).map(|n| [0.02 * f64::from(n), 0.1 + 0.02 * f64::from(w)]).collect::<Vec<_>>();
+        let soft = worlds.heights((0..3).map(points).collect()).unwrap();
+        let watch = |w| Watch { heights: points(w), ..Watch::default() };
+        let watched = worlds.watch(&[0, 1, 2].map(watch));
+        for (w, (soft, watched)) in soft.into_iter().zip(watched).enumerate() {
+            assert_eq!(soft, worlds.world(w).heights(&points(w as u32)).unwrap(), "world {w} on {}", options.backend);
+            let higher = soft.iter().zip(&watched.unwrap().heights).filter(|(soft, top)| top > soft).count();
+            // Three points or four are above the scraper, whose top is at 0.19.
+            assert!((3..=4).contains(&higher), "{higher} points on {}", options.backend);
         }
     }
 }

@@ -55,6 +55,21 @@ fn a_world_of_a_batch_is_the_world_alone_bit_for_bit() {
     }
 }
 
+/// Symptom guarded against: a thread that waits for one world's engine takes up the next world within that call, one in another, until its stack is full.
+#[test]
+fn hundreds_of_worlds_do_not_nest_in_one_another() {
+    let (head, parts) = bed(0.05, [4, 4], 1, 8, "young_modulus = 1e5, friction_angle_deg = 30");
+    let small = scene(&head.with(&parts));
+    let options = Options { threads: 2, ..options(Precision::F32) };
+    let mut worlds = Worlds::of(&barchan::registry(), &small, 600, 0, &options).unwrap();
+    assert!(worlds.step().into_iter().all(|report| report.is_ok()));
+    assert!(worlds.approach(&[2e-3; 600], std::time::Duration::MAX).into_iter().all(|there| there.unwrap()));
+    let mut alone = Worlds::of(&barchan::registry(), &small, 1, 599, &options).unwrap();
+    alone.step();
+    alone.approach(&[2e-3], std::time::Duration::MAX);
+    assert!(left(worlds.world(599)) == left(alone.world(0)), "the last is itself alone");
+}
+
 /// A world that fails says so and stays; the others go on.
 #[test]
 fn a_world_that_fails_does_not_stop_the_others() {

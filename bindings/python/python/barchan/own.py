@@ -34,7 +34,7 @@ class SceneVectorEnv(WorldsVectorEnv):
     """Worlds of a scene as environments whose task a subclass says.
 
     In a control step `act` gives commands, all worlds go on for `interval`, and `observe`, `reward`, `terminated` and `info` are asked, in this order, for all worlds: what they
-    return has a row for each. They read `self.simulation`, a `barchan.Simulation`, whose `robot_arrays` and `body_arrays` have a row for each world, too. An episode begins with
+    return has a row for each. They read `self.simulation`, a `barchan.Simulation`, whose `robot_arrays`, `body_arrays` and `height_arrays` have a row for each world, too. An episode begins with
     `draw`, `begin` and `observe`, each for the worlds that begin one.
 
     If one of them raises, a world cannot go on, or Ctrl-C comes, all episodes are broken off: worlds take no step before they are reset.
