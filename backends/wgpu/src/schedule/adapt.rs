@@ -179,6 +179,9 @@ impl WgpuBatch {
 
     /// Copies of particles, by their slots.
     pub(crate) fn copies(&mut self, slots: &[u32]) -> Result<Planes<'static>> {
+        if slots.is_empty() {
+            return Ok(Planes::default());
+        }
         let [.., copy] = &self.kernels.set.adapt.as_ref().expect(HAS_LEVELS).find;
         self.write_words(COUNTED, &[slots.len() as u32]);
         self.write(self.memory.buffer(Role::Order, 0), 0, bytemuck::cast_slice(slots));
