@@ -31,8 +31,6 @@ use std::sync::Arc;
 /// Forces on tools thinner than this are off by a third [cells]: the stirrer of `letters` on cells of 14, 7 and 3.5 mm, 3.1, 6.3 and 12.6 of them across, 48.7, 42.4 and
 /// 36.4 N s.
 const ROUGH_THICKNESS: f64 = 4.0;
-/// A tool may be told to move [m/s] and turn [rad/s] at most so fast: a step is refused long before, but f32 goes on from there; far beyond it makes numbers that no later step heals.
-const FASTEST: f64 = 1e15;
 /// A device moves free bodies as long as their surfaces move by at most this much in a step [cells], and what they act on keeps as far from what
 /// others act on, and a cell further from walls, as two of them can come nearer; rapier looks ahead a little further, by less than this
 /// share of the smallest one's extent.
@@ -686,10 +684,6 @@ impl Coupling for Rigid {
         };
         if !matches!(body.mover, Mover::Velocity) {
             return Err(Refusal::new("it is not driven by velocity", "give it a motion = { velocity = {} }").at(&path));
-        }
-        if let Some(fast) = linear.iter().chain(&angular).find(|x| x.is_finite() && x.abs() > FASTEST) {
-            let what = format!("a velocity of {fast:.3e} is asked for");
-            return Err(Refusal::new(what, format!("give m/s and rad/s of at most {FASTEST:.0e}")).at(&path));
         }
         let twist = vector(linear, "the velocity asked for")
             .and_then(|linear| Ok(Twist { linear, angular: vector(angular, "the angular velocity asked for")? }));

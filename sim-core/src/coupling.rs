@@ -5,7 +5,7 @@ use crate::contact::{Reaction, System, Touch, Twist};
 use crate::gradient::{BodyCotangents, BodyGradient, RobotCotangents, RobotGradient};
 use crate::sense::RobotState;
 use crate::surface::Surface;
-use crate::{Result, Vec3};
+use crate::{Error, Result, Vec3};
 use serde::{Deserialize, Serialize};
 use std::any::Any;
 use std::ops::Range;
@@ -90,6 +90,10 @@ pub struct Placement {
     pub joint_rates: Option<Vec<f64>>,
 }
 
+/// Bodies and particles may be given numbers of at most so much, in SI units: a step is refused long before, but a simulation in f32 goes on from there. What is made of numbers
+/// far beyond it is none, and no later step heals that.
+pub const GREATEST: f64 = 1e15;
+
 impl Command {
     /// What it gives, for messages: "a twist", "joint targets", "joint torques", "joint rates", "an impulse" or "another place".
     pub fn name(&self) -> &'static str {
@@ -101,6 +105,17 @@ impl Command {
             Self::Impulse { .. } => "an impulse",
             Self::Place(_) => "another place",
         }
+    }
+
+    /// Is nothing of it beyond [`GREATEST`]? What is no number at all is for the body to refuse, which knows what it is called.
+    pub(crate) fn check(&self, body: &str) -> Result<()> {
+        let greatest = self.greatest();
+        if !(greatest.is_finite() && greatest > GREATEST) {
+            return Ok(());
+        }
+        let what = format!("{} with a number of {greatest:.3e} is asked for", self.name());
+        let mend = format!("give numbers of at most {GREATEST:.0e}");
+        Err(Error::Body { path: body.to_owned(), what, mend })
     }
 
     /// The greatest of its numbers, without their signs: NaN if one is none.

@@ -50,7 +50,9 @@ mod zoned;
 
 pub use archive::Tile;
 pub use backend::{Adjoint, Backend, Engine, StepReport};
-pub use coupling::{Aabb, BodyState, Command, Coupling, JointState, NearParticle, NodeBatch, Placement, Wrench};
+pub use coupling::{
+    Aabb, BodyState, Command, Coupling, GREATEST, JointState, NearParticle, NodeBatch, Placement, Wrench,
+};
 pub use error::{Error, Result};
 pub use flow::Newcomer;
 pub use gradient::{Cotangents, Gradient, Tape};

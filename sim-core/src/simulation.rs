@@ -433,10 +433,11 @@ impl Simulation {
     /// Tells a body what to do from now on, or gives it a blow.
     ///
     /// # Errors
-    /// [`Error::Body`] if there is no such body, it does not take such commands, or the numbers are not finite.
+    /// [`Error::Body`] if there is no such body, it does not take such commands, or numbers are not finite or beyond [`GREATEST`](crate::GREATEST).
     pub fn act(&mut self, body: &str, command: &Command) -> Result<()> {
         for coupling in &mut self.couplings {
             if coupling.has_body(body) {
+                command.check(body)?;
                 self.chosen = None;
                 return coupling.act(body, command);
             }

@@ -1,13 +1,10 @@
 //! Particles that Python changes.
 
 use crate::given::{Numbers, rows};
-use barchan::{Error, ParticleState, Simulation, Vec3};
+use barchan::{Error, GREATEST, ParticleState, Simulation, Vec3};
 use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use std::collections::HashMap;
-
-/// Particles may be given velocities [m/s] and affine matrices [1/s] of at most so much: far beyond it, what a step in f32 makes of them is no number.
-const FASTEST: f64 = 1e15;
 
 /// What some particles are to be; what is left out stays.
 pub(crate) struct Change {
@@ -53,8 +50,11 @@ impl Change {
         }
         for (k, id) in self.id.iter().enumerate() {
             let Some((l, i)) = places.remove(id) else {
-                let mend = "give numbers that `particles` tells, each once; ground out of reach cannot be changed";
-                return refuse(format!("there is no particle {id}, or it comes twice"), mend);
+                if self.id[..k].contains(id) {
+                    return refuse(format!("particle {id} comes twice"), "give each number once");
+                }
+                let mend = "give numbers that `particles` tells; ground out of reach cannot be changed";
+                return refuse(format!("there is no particle {id}"), mend);
             };
             let list = &mut state.lists[l];
             if let Some(position) = &self.position {
@@ -77,8 +77,8 @@ impl Change {
             if let Some(affine) = &self.affine {
                 list.affine[i] = affine[k];
             }
-            if !list.velocity[i].iter().chain(&list.affine[i]).all(|x| x.abs() <= FASTEST) {
-                let what = format!("what is given for particle {id} is not finite, or beyond {FASTEST:.0e}");
+            if !list.velocity[i].iter().chain(&list.affine[i]).all(|x| x.abs() <= GREATEST) {
+                let what = format!("what is given for particle {id} is not finite, or beyond {GREATEST:.0e}");
                 return refuse(what, "give finite numbers that a simulation in f32 can hold");
             }
         }

@@ -2,7 +2,7 @@
 
 use crate::errors::{OrRaise, raised, warn};
 use crate::given::{
-    Numbers, blows, check_count, check_world, chosen, first_or_each, named, placements, precision, seeds, tell,
+    Numbers, blows, check_count, check_world, chosen, first_or_each, named, number, placements, precision, tell,
 };
 use crate::machine::Shared;
 use crate::picture::{array, check_part};
@@ -160,12 +160,12 @@ impl Environment {
     fn new(
         py: Python<'_>,
         task: PathBuf,
-        worlds: usize,
+        #[pyo3(from_py_with = number)] worlds: usize,
         seed: Option<&Bound<'_, PyAny>>,
         backend: &str,
         precision: &str,
         adapter: Option<&Bound<'_, PyAny>>,
-        threads: usize,
+        #[pyo3(from_py_with = number)] threads: usize,
         parameters: Option<&Bound<'_, PyDict>>,
         failures: &str,
     ) -> PyResult<Self> {
@@ -319,7 +319,7 @@ impl Environment {
     /// A simulation of its own that goes on from a world as it is now: its particles, sensors and ledger can be read, its scene says what was drawn, and the episode does not
     /// notice what is done to it. On the same backend.
     #[pyo3(signature = (world=0))]
-    fn simulation(&self, py: Python<'_>, world: usize) -> PyResult<Simulation> {
+    fn simulation(&self, py: Python<'_>, #[pyo3(from_py_with = number)] world: usize) -> PyResult<Simulation> {
         check_world(world, self.worlds)?;
         let mut inner = self.inner(py)?;
         let environment = &mut inner.environment;
@@ -327,7 +327,7 @@ impl Environment {
         Simulation::from_state(py, &state, self.options.clone())
     }
 
-    /// Begins new episodes: in all worlds, or in those in `worlds` (a number or a list), with the same seeds as before or with `seeds`, one for each of them.
+    /// Begins new episodes: in all worlds, or in those in `worlds` (a number or a list), with the same seeds as before or with `seeds`: a number from which they count, or one for each of them.
     /// A scene that comes back costs a copy, together for all worlds; a new one, by a seed that changes it, is seeded.
     ///
     /// Returns the observations of all worlds, float32 of shape (worlds, numbers).
@@ -340,7 +340,7 @@ impl Environment {
     ) -> PyResult<Bound<'py, PyArray2<f32>>> {
         let mut inner = self.inner(py)?;
         let chosen = chosen(worlds, self.worlds)?;
-        let seeds = seeds.map(|seeds| self::seeds(seeds, chosen.len())).transpose()?;
+        let seeds = seeds.map(|seeds| first_or_each(seeds, chosen.len())).transpose()?;
         let seed = |i: usize| seeds.as_ref().map_or_else(|| inner.environment.seed(chosen[i]), |seeds| seeds[i]);
         let episodes: Vec<(usize, u64)> = chosen.iter().enumerate().map(|(i, &world)| (world, seed(i))).collect();
         inner.begin(py, &episodes, |environment| environment.reset(&episodes))?;
@@ -469,7 +469,12 @@ impl Environment {
     ///
     /// `part` is "page", the whole picture with title, scales and a vertical cut, or "ground", the ground and what is on it alone.
     #[pyo3(signature = (world=0, *, part="page"))]
-    fn render<'py>(&self, py: Python<'py>, world: usize, part: &str) -> PyResult<Bound<'py, PyArray3<u8>>> {
+    fn render<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = number)] world: usize,
+        part: &str,
+    ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         check_world(world, self.worlds)?;
         check_part(part)?;
         let mut inner = self.inner(py)?;
@@ -488,7 +493,13 @@ impl Environment {
     ///
     /// Raises `FileError` if it cannot be written.
     #[pyo3(signature = (path, *, world=0, agent=""))]
-    fn save_episode(&self, py: Python<'_>, path: PathBuf, world: usize, agent: &str) -> PyResult<()> {
+    fn save_episode(
+        &self,
+        py: Python<'_>,
+        path: PathBuf,
+        #[pyo3(from_py_with = number)] world: usize,
+        agent: &str,
+    ) -> PyResult<()> {
         check_world(world, self.worlds)?;
         let recording = Recording { agent: agent.to_owned(), ..self.inner(py)?.recordings[world].clone() };
         recording.write(&path).or_raise(py)

@@ -2,6 +2,7 @@
 
 use crate::errors::{OrRaise, raised};
 use barchan::{Command, Placement, Precision};
+use numpy::ndarray::Dimension;
 use numpy::{AllowTypeChange, PyArrayLikeDyn};
 use pyo3::exceptions::{PyIndexError, PyTypeError, PyValueError};
 use pyo3::prelude::*;
@@ -9,6 +10,12 @@ use pyo3::types::PyBool;
 
 /// Numbers of any shape: an array, or lists of them. Shapes are checked where it is known what they should be.
 pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
+
+/// A whole number from 0 on; pyo3 tells the argument's name besides what is wrong with it. Python's bools are numbers, too, but count nothing.
+pub(crate) fn number(given: &Bound<'_, PyAny>) -> PyResult<usize> {
+    let number = if given.is_instance_of::<PyBool>() { None } else { given.extract().ok() };
+    number.ok_or_else(|| PyTypeError::new_err(format!("{given} is no whole number from 0 on")))
+}
 
 pub(crate) fn check_world(world: usize, count: usize) -> PyResult<()> {
     if world < count {
@@ -45,24 +52,19 @@ pub(crate) fn one_seed(given: &Bound<'_, PyAny>) -> PyResult<u64> {
     whole_seed(given.extract().map_err(|_| PyTypeError::new_err(SEEDS))?)
 }
 
-/// A seed for each of so many worlds.
-pub(crate) fn seeds(seeds: &Bound<'_, PyAny>, worlds: usize) -> PyResult<Vec<u64>> {
-    let given = match seeds.extract::<Vec<Bound<'_, PyAny>>>() {
-        Ok(several) => several.iter().map(one_seed).collect::<PyResult<Vec<_>>>()?,
-        Err(_) => vec![one_seed(seeds)?],
-    };
-    if given.len() != worlds {
-        return Err(PyValueError::new_err(format!("seeds: there are {} of them for {worlds} worlds", given.len())));
-    }
-    Ok(given)
-}
-
 /// A seed for each of so many worlds: a number, from which they count, or each its own.
 pub(crate) fn first_or_each(given: &Bound<'_, PyAny>, worlds: usize) -> PyResult<Vec<u64>> {
-    match one_seed(given) {
-        Ok(first) => (first..).take(worlds).map(whole_seed).collect(),
-        Err(_) => seeds(given, worlds),
+    let each = match given.extract::<Vec<Bound<'_, PyAny>>>() {
+        Ok(several) => several.iter().map(one_seed).collect::<PyResult<Vec<_>>>()?,
+        Err(_) => {
+            let first = one_seed(given)?;
+            return (first..).take(worlds).map(whole_seed).collect();
+        }
+    };
+    if each.len() != worlds {
+        return Err(PyValueError::new_err(format!("seeds: there are {} of them for {worlds} worlds", each.len())));
     }
+    Ok(each)
 }
 
 /// Name of an adapter, or its number.
@@ -95,30 +97,56 @@ pub(crate) fn chosen(worlds: Option<&Bound<'_, PyAny>>, count: usize) -> PyResul
 
 /// Points of the ground plan [m], of shape (n, 2).
 pub(crate) fn points_of_plan(points: &Numbers<'_>) -> PyResult<Vec<[f64; 2]>> {
-    match (points.as_array().shape(), are_finite(points)) {
-        (&[_, 2], true) => Ok(pairs(points)),
-        (shape, _) => Err(PyValueError::new_err(format!(
-            "points: their shape is {shape:?}; it should be (n, 2), of finite numbers"
-        ))),
+    check_finite(points, "points")?;
+    match points.as_array().shape() {
+        &[_, 2] => Ok(pairs(points)),
+        shape => Err(PyValueError::new_err(format!("points: their shape is {shape:?}; it should be (n, 2)"))),
     }
 }
 
 /// The same for each of so many worlds: (n, 2) for all of them, or (worlds, n, 2), each world its own.
 pub(crate) fn points_per_world(points: &Numbers<'_>, worlds: usize) -> PyResult<Vec<Vec<[f64; 2]>>> {
-    match (points.as_array().shape(), are_finite(points)) {
-        (&[_, 2], true) => Ok(vec![pairs(points); worlds]),
-        (&[of, count, 2], true) if of == worlds => {
+    check_finite(points, "points")?;
+    match points.as_array().shape() {
+        &[_, 2] => Ok(vec![pairs(points); worlds]),
+        &[of, count, 2] if of == worlds => {
             let mut all = pairs(points).into_iter();
             Ok((0..worlds).map(|_| all.by_ref().take(count).collect()).collect())
         }
-        (shape, _) => Err(PyValueError::new_err(format!(
-            "points: their shape is {shape:?}; it should be (n, 2) for all worlds or ({worlds}, n, 2), of finite numbers"
+        shape => Err(PyValueError::new_err(format!(
+            "points: their shape is {shape:?}; it should be (n, 2) for all worlds or ({worlds}, n, 2)"
         ))),
     }
 }
 
-fn are_finite(points: &Numbers<'_>) -> bool {
-    points.as_array().iter().all(|x| x.is_finite())
+/// Is every one a number?
+pub(crate) fn check_finite(given: &Numbers<'_>, what: &str) -> PyResult<()> {
+    match given.as_array().indexed_iter().find(|(_, x)| !x.is_finite()) {
+        Some((place, x)) => {
+            let place = place.slice();
+            Err(PyValueError::new_err(format!("{what}: the number at {place:?} is {x}; give finite numbers")))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The least and the greatest corner of a box, or of a rectangle: N numbers each.
+pub(crate) fn corners<const N: usize>(region: &Numbers<'_>, form: &str) -> PyResult<[[f64; N]; 2]> {
+    let given = region.as_array();
+    if given.shape() != [2, N] {
+        let shape = given.shape();
+        return Err(PyValueError::new_err(format!(
+            "region: its shape is {shape:?}; give its least and greatest corner, {form}"
+        )));
+    }
+    let [min, max] = [0, 1].map(|row| std::array::from_fn(|d| given[[row, d]]));
+    if !(0..N).all(|d| min[d] <= max[d]) {
+        let what = format!("region: it goes from {min:?} to {max:?}");
+        return Err(PyValueError::new_err(format!(
+            "{what}; give its least corner first, and its greatest then, {form}"
+        )));
+    }
+    Ok([min, max])
 }
 
 /// Numbers two by two.

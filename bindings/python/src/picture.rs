@@ -1,6 +1,7 @@
 //! Pictures as arrays.
 
 use crate::errors::{OrRaise, exception};
+use crate::given::number;
 use crate::simulation::Simulation;
 use barchan::picture::{Image, Rect, View as Drawn};
 use numpy::{PyArray1, PyArray3, PyArrayMethods, PyReadonlyArray3, PyUntypedArrayMethods};
@@ -21,7 +22,7 @@ impl View {
     /// A view that holds all particles of a world as they are now.
     #[new]
     #[pyo3(signature = (simulation, *, world=0))]
-    fn new(py: Python<'_>, simulation: &Simulation, world: usize) -> PyResult<Self> {
+    fn new(py: Python<'_>, simulation: &Simulation, #[pyo3(from_py_with = number)] world: usize) -> PyResult<Self> {
         Ok(Self { drawn: simulation.look(py, world, Drawn::new)? })
     }
 
@@ -36,7 +37,7 @@ impl View {
         py: Python<'py>,
         simulation: &Simulation,
         part: &str,
-        world: usize,
+        #[pyo3(from_py_with = number)] world: usize,
     ) -> PyResult<Bound<'py, PyArray3<u8>>> {
         check_part(part)?;
         let drawn = &mut self.drawn;

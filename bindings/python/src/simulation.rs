@@ -3,8 +3,8 @@
 use crate::change::Change;
 use crate::errors::{OrRaise, exception, raised, warn};
 use crate::given::{
-    Numbers, axes, blows, check_count, check_world, chosen, first_or_each, named, per_world, placements,
-    points_of_plan, points_per_world, precision, seeds, tell, whole_seed,
+    Numbers, axes, blows, check_count, check_finite, check_world, chosen, corners, first_or_each, named, number,
+    per_world, placements, points_of_plan, points_per_world, precision, tell, whole_seed,
 };
 use crate::gradient::{Signals, Tape};
 use crate::machine::{Machine, Shared};
@@ -75,7 +75,7 @@ pub(crate) struct Simulation {
 impl Simulation {
     /// What runs, unless another thread is at it.
     fn machine<'a>(&'a self, py: Python<'_>) -> PyResult<MutexGuard<'a, Machine>> {
-        self.machine.taken(py, "simulation", "wait for it, or use a fork() of it")
+        self.machine.taken(py, "simulation", "wait for it, or take a fork() before the other begins")
     }
 
     fn options(&self, py: Python<'_>) -> PyResult<MutexGuard<'_, Options>> {
@@ -117,9 +117,9 @@ impl Simulation {
         scene: &Bound<'_, PyAny>,
         backend: &str,
         precision: &str,
-        worlds: usize,
+        #[pyo3(from_py_with = number)] worlds: usize,
         adapter: Option<&Bound<'_, PyAny>>,
-        threads: usize,
+        #[pyo3(from_py_with = number)] threads: usize,
         seed: Option<&Bound<'_, PyAny>>,
         overrides: Option<&Bound<'_, PyAny>>,
     ) -> PyResult<Self> {
@@ -159,7 +159,7 @@ impl Simulation {
         path: PathBuf,
         backend: &str,
         adapter: Option<&Bound<'_, PyAny>>,
-        threads: usize,
+        #[pyo3(from_py_with = number)] threads: usize,
     ) -> PyResult<Self> {
         let adapter = adapter.map(named).transpose()?;
         let registry = known(py)?;
@@ -176,7 +176,7 @@ impl Simulation {
     ///
     /// Raises `SimulationError` if the scene cannot go on; that world is as it was before the step that failed.
     #[pyo3(signature = (count=1))]
-    fn step(&self, py: Python<'_>, count: usize) -> PyResult<()> {
+    fn step(&self, py: Python<'_>, #[pyo3(from_py_with = number)] count: usize) -> PyResult<()> {
         let mut machine = self.machine(py)?;
         let machine = &mut *machine;
         let mut left = count;
@@ -232,7 +232,7 @@ impl Simulation {
     /// Raises `PluginError` for what has no adjoint yet, by name (sleep, fields), `BodyError` for `levels.subcycle`, tools that appear or vanish, sources and sinks, and if particles left the world on the way;
     /// else as `step`.
     #[pyo3(signature = (seconds, *, world=0))]
-    fn record(&self, py: Python<'_>, seconds: f64, world: usize) -> PyResult<Tape> {
+    fn record(&self, py: Python<'_>, seconds: f64, #[pyo3(from_py_with = number)] world: usize) -> PyResult<Tape> {
         if !(seconds > 0.0 && seconds.is_finite()) {
             return Err(PyValueError::new_err(format!("seconds: {seconds} is no time to record")));
         }
@@ -240,6 +240,11 @@ impl Simulation {
         check_world(world, machine.len())?;
         let (registry, mut signals) = (known(py)?, Signals::new());
         let machine = &mut *machine;
+        let now = machine.world(world).time();
+        if now + seconds == now {
+            let what = format!("seconds: {seconds:e} is too short to be told from the time, {now} s; give more");
+            return Err(PyValueError::new_err(what));
+        }
         let record = || {
             let one = machine.world_mut(world);
             one.record_while(&registry, one.time() + seconds, |_| signals.look())
@@ -298,7 +303,7 @@ impl Simulation {
     }
     /// The scene as TOML, overrides included.
     #[pyo3(signature = (*, world=0))]
-    fn scene(&self, py: Python<'_>, world: usize) -> PyResult<String> {
+    fn scene(&self, py: Python<'_>, #[pyo3(from_py_with = number)] world: usize) -> PyResult<String> {
         self.look(py, world, |one| one.plan().scene.to_toml())?.or_raise(py)
     }
 
@@ -313,23 +318,12 @@ impl Simulation {
         py: Python<'py>,
         fields: &Bound<'py, PyTuple>,
         region: Option<Numbers<'py>>,
-        world: usize,
+        #[pyo3(from_py_with = number)] world: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         let asked: Vec<String> = fields.extract()?;
         let names = if asked.is_empty() { USUAL.map(str::to_owned).to_vec() } else { asked };
-        let region = region.map(|region| {
-            let corners = region.as_array();
-            match corners.shape() {
-                [2, 3] => {
-                    let [min, max] = [0, 1].map(|row| std::array::from_fn(|d| corners[[row, d]]));
-                    Ok(Aabb { min, max })
-                }
-                shape => Err(PyValueError::new_err(format!(
-                    "region: its shape is {shape:?}; give the least and the greatest corner, ((x, y, z), (x, y, z))"
-                ))),
-            }
-        });
-        let region = region.transpose()?;
+        let region = region.map(|region| corners(&region, "((x, y, z), (x, y, z))")).transpose()?;
+        let region = region.map(|[min, max]| Aabb { min, max });
         let is_read = |name: &String| READ.contains(&name.as_str());
         if self.options(py)?.precision == Precision::F64 || !names.iter().all(is_read) {
             let columns = |one: &World| {
@@ -363,7 +357,13 @@ impl Simulation {
     ///
     /// Raises `PluginError` if a material does not tell its stress.
     #[pyo3(signature = (at, *, axis="y", world=0))]
-    fn cut<'py>(&self, py: Python<'py>, at: f64, axis: &str, world: usize) -> PyResult<Bound<'py, PyAny>> {
+    fn cut<'py>(
+        &self,
+        py: Python<'py>,
+        at: f64,
+        axis: &str,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
         let axis = match axis {
             "x" => 0,
             "y" => 1,
@@ -373,6 +373,9 @@ impl Simulation {
                 )));
             }
         };
+        if !at.is_finite() {
+            return Err(PyValueError::new_err(format!("at: {at} is no place of a plane; give metres")));
+        }
         let read = |one: &World| {
             // Within one of their sides.
             let near = one.ground_where(&|spot| (2.0 * (spot.position[axis] - at)).abs().powi(3) <= spot.volume0);
@@ -393,7 +396,12 @@ impl Simulation {
     /// The surface is where, seen from above, particles first fill half of space. Where there is no ground, it is the world's floor; NaN if that is open. Tools
     /// and robots are not seen.
     #[pyo3(signature = (points, *, world=0))]
-    fn height_scan<'py>(&self, py: Python<'py>, points: Numbers<'py>, world: usize) -> PyResult<Bound<'py, PyAny>> {
+    fn height_scan<'py>(
+        &self,
+        py: Python<'py>,
+        points: Numbers<'py>,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
         let points = points_of_plan(&points)?;
         let heights = self.look(py, world, |one| one.heights(&points))?.or_raise(py)?;
         Ok(records::vector(py, heights.into_iter().map(|z| z.unwrap_or(f64::NAN)).collect()))
@@ -429,14 +437,13 @@ impl Simulation {
         material: Option<String>,
         body: Option<String>,
         level: Option<u32>,
-        world: usize,
+        #[pyo3(from_py_with = number)] world: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
+        check_finite(&points, "points")?;
         let points = points.as_array();
-        let (&[_, 3], true) = (points.shape(), points.iter().all(|x| x.is_finite())) else {
+        let &[_, 3] = points.shape() else {
             let shape = points.shape();
-            return Err(PyValueError::new_err(format!(
-                "points: their shape is {shape:?}; it should be (n, 3), of finite numbers"
-            )));
+            return Err(PyValueError::new_err(format!("points: their shape is {shape:?}; it should be (n, 3)")));
         };
         let points: Vec<[f64; 3]> = points.rows().into_iter().map(|row| [row[0], row[1], row[2]]).collect();
         let [materials, bodies] = self.look(py, world, |one| {
@@ -478,21 +485,12 @@ impl Simulation {
         py: Python<'py>,
         region: Option<Numbers<'py>>,
         cell: Option<f64>,
-        world: usize,
+        #[pyo3(from_py_with = number)] world: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
         let bounds = self.look(py, world, |one| one.plan().scene.world.clone())?;
-        let (min, max) = match &region {
-            None => ([bounds.min[0], bounds.min[1]], [bounds.max[0], bounds.max[1]]),
-            Some(region) => {
-                let corners = region.as_array();
-                let &[2, 2] = corners.shape() else {
-                    let shape = corners.shape();
-                    return Err(PyValueError::new_err(format!(
-                        "region: its shape is {shape:?}; give ((x, y), (x, y))"
-                    )));
-                };
-                ([corners[[0, 0]], corners[[0, 1]]], [corners[[1, 0]], corners[[1, 1]]])
-            }
+        let [min, max] = match &region {
+            None => [bounds.min, bounds.max].map(|[x, y, _]| [x, y]),
+            Some(region) => corners(region, "((x, y), (x, y))")?,
         };
         let cell = cell.unwrap_or(bounds.cell);
         let count = [0, 1].map(|d| ((max[d] - min[d]) / cell + 1e-6).floor());
@@ -514,7 +512,11 @@ impl Simulation {
 
     /// Tools, free bodies and links of robots by name, in the scene's order: `Body` records.
     #[pyo3(signature = (*, world=0))]
-    fn bodies<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyDict>> {
+    fn bodies<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Bound<'py, PyDict>> {
         let all = PyDict::new(py);
         for body in self.look(py, world, World::bodies)? {
             all.set_item(body.name.clone(), records::body(py, body)?)?;
@@ -524,7 +526,11 @@ impl Simulation {
 
     /// Mean force and torque of the soft ground on each of `bodies` over the last step, by name: `Wrench` records.
     #[pyo3(signature = (*, world=0))]
-    fn wrenches<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyDict>> {
+    fn wrenches<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Bound<'py, PyDict>> {
         let (bodies, wrenches) = self.look(py, world, |one| (one.bodies(), one.wrenches()))?;
         let all = PyDict::new(py);
         for (body, wrench) in bodies.iter().zip(&wrenches) {
@@ -535,7 +541,11 @@ impl Simulation {
 
     /// Robots by name, with their joints, their links and what they sense: `Robot` records.
     #[pyo3(signature = (*, world=0))]
-    fn robots<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyDict>> {
+    fn robots<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Bound<'py, PyDict>> {
         let (robots, joints) = self.look(py, world, |one| (one.robots(), one.joints()))?;
         let all = PyDict::new(py);
         for robot in robots {
@@ -598,7 +608,13 @@ impl Simulation {
     ///
     /// Raises `BodyError` if there is no such robot.
     #[pyo3(signature = (robot, *, least=1.0, world=0))]
-    fn patches<'py>(&self, py: Python<'py>, robot: &str, least: f64, world: usize) -> PyResult<Bound<'py, PyDict>> {
+    fn patches<'py>(
+        &self,
+        py: Python<'py>,
+        robot: &str,
+        least: f64,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Bound<'py, PyDict>> {
         let ask = |one: &World| Ok((one.robot(robot)?.links, one.patches(robot, least)?));
         let (links, patches) = self.look(py, world, ask)?.or_raise(py)?;
         records::patches(py, &links, patches)
@@ -609,7 +625,12 @@ impl Simulation {
     ///
     /// Raises `BodyError` if there is no such robot, or its entry has no `scan`.
     #[pyo3(signature = (robot, *, world=0))]
-    fn scan<'py>(&self, py: Python<'py>, robot: &str, world: usize) -> PyResult<Bound<'py, PyAny>> {
+    fn scan<'py>(
+        &self,
+        py: Python<'py>,
+        robot: &str,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Bound<'py, PyAny>> {
         let scan = self.look(py, world, |one| one.scan(robot))?.or_raise(py)?;
         let heights = scan.heights.into_iter().map(|z| z.unwrap_or(f64::NAN)).collect();
         let fields = [("points", records::rows(py, scan.points)?), ("heights", records::vector(py, heights))];
@@ -740,7 +761,7 @@ impl Simulation {
         position: Option<Numbers<'_>>,
         velocity: Option<Numbers<'_>>,
         affine: Option<Numbers<'_>>,
-        world: usize,
+        #[pyo3(from_py_with = number)] world: usize,
     ) -> PyResult<()> {
         let mut machine = self.machine(py)?;
         check_world(world, machine.len())?;
@@ -749,8 +770,8 @@ impl Simulation {
         py.detach(|| change.apply(machine.world_mut(world))).or_raise(py)
     }
 
-    /// Sets worlds back to their start: all, or those in `worlds` (a number or a list). With `seeds`, one for each of them, they start from these random
-    /// seeds instead of those that they have. With `overrides`, a dict or a list with one for each of them, their scenes change from there on.
+    /// Sets worlds back to their start: all, or those in `worlds` (a number or a list). With `seeds`, a number from which they count or
+    /// one for each of them, they start from these random seeds instead of those that they have. With `overrides`, a dict or a list with one for each of them, their scenes change from there on.
     #[pyo3(signature = (worlds=None, seeds=None, *, overrides=None))]
     fn reset(
         &self,
@@ -761,7 +782,7 @@ impl Simulation {
     ) -> PyResult<()> {
         let mut machine = self.machine(py)?;
         let chosen = chosen(worlds, machine.len())?;
-        let seeds = seeds.map(|seeds| self::seeds(seeds, chosen.len())).transpose()?;
+        let seeds = seeds.map(|seeds| first_or_each(seeds, chosen.len())).transpose()?;
         let overrides = scene::each(overrides, chosen.len())?;
         let (registry, options) = (known(py)?, self.options(py)?.clone());
         let machine = &mut *machine;
@@ -784,14 +805,14 @@ impl Simulation {
 
     /// Takes a copy of a world in memory, to `restore` it later.
     #[pyo3(signature = (*, world=0))]
-    fn state(&self, py: Python<'_>, world: usize) -> PyResult<State> {
+    fn state(&self, py: Python<'_>, #[pyo3(from_py_with = number)] world: usize) -> PyResult<State> {
         Ok(State { state: self.look(py, world, World::state)?.or_raise(py)? })
     }
 
     /// Goes back to a state: what follows is bit for bit what followed then. It is set in all worlds, or in those in `worlds` (a number or a list). A world takes over the
     /// state's random seed.
     ///
-    /// Raises `BodyError` if it is a state of another scene or precision. Of several worlds, those before the one that refuses have gone back then.
+    /// Raises `BodyError` if it is a state of another scene or precision. No world has gone back then.
     #[pyo3(signature = (state, *, worlds=None))]
     fn restore(&self, py: Python<'_>, state: &State, worlds: Option<&Bound<'_, PyAny>>) -> PyResult<()> {
         let mut machine = self.machine(py)?;
@@ -807,7 +828,7 @@ impl Simulation {
 
     /// Another simulation that goes on from a world as it is now, on its own: one world, on the same backend.
     #[pyo3(signature = (*, world=0))]
-    fn fork(&self, py: Python<'_>, world: usize) -> PyResult<Self> {
+    fn fork(&self, py: Python<'_>, #[pyo3(from_py_with = number)] world: usize) -> PyResult<Self> {
         let state = self.look(py, world, World::state)?.or_raise(py)?;
         let options = self.options(py)?.clone();
         Self::from_state(py, &state, options)
@@ -815,7 +836,12 @@ impl Simulation {
 
     /// Makes worlds copies of world `source`, which then go on as it does: those in `targets` (a number or a list). On a GPU nothing leaves it. They take over its random
     /// seed, too, and so the start to which `reset` brings them.
-    fn copy_world(&self, py: Python<'_>, source: usize, targets: &Bound<'_, PyAny>) -> PyResult<()> {
+    fn copy_world(
+        &self,
+        py: Python<'_>,
+        #[pyo3(from_py_with = number)] source: usize,
+        targets: &Bound<'_, PyAny>,
+    ) -> PyResult<()> {
         let mut machine = self.machine(py)?;
         check_world(source, machine.len())?;
         let targets = chosen(Some(targets), machine.len())?;
@@ -829,7 +855,7 @@ impl Simulation {
     ///
     /// Raises `FileError` if it cannot be written; an older file of that name is intact then.
     #[pyo3(signature = (path, *, world=0))]
-    fn save(&self, py: Python<'_>, path: PathBuf, world: usize) -> PyResult<()> {
+    fn save(&self, py: Python<'_>, path: PathBuf, #[pyo3(from_py_with = number)] world: usize) -> PyResult<()> {
         self.look(py, world, |one| one.save(&path))?.or_raise(py)
     }
 
@@ -863,7 +889,7 @@ impl Simulation {
 
     /// What the scene calls for and why, and what a step does: a `Plan` record; print it.
     #[pyo3(signature = (*, world=0))]
-    fn plan<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyAny>> {
+    fn plan<'py>(&self, py: Python<'py>, #[pyo3(from_py_with = number)] world: usize) -> PyResult<Bound<'py, PyAny>> {
         let plan = self.look(py, world, |one| one.plan().clone())?;
         records::plan(py, &plan)
     }
@@ -871,7 +897,7 @@ impl Simulation {
     /// Totals of mass [kg], momentum [kg m/s], energy [J] and others, and "counts" of everything that was clamped, floored, cut or lost since the start: a
     /// dict. "elastic" is None if a material does not tell its energy.
     #[pyo3(signature = (*, world=0))]
-    fn ledger<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyAny>> {
+    fn ledger<'py>(&self, py: Python<'py>, #[pyo3(from_py_with = number)] world: usize) -> PyResult<Bound<'py, PyAny>> {
         let ledger = self.look(py, world, World::ledger)?;
         let value =
             serde_json::to_value(&ledger).map_err(|e| exception(py, "BarchanError", &format!("ledger: {e}")))?;
@@ -880,14 +906,22 @@ impl Simulation {
 
     /// What tools, free bodies and robots look like now: a list of `Surface` records, triangles and where they are.
     #[pyo3(signature = (*, world=0))]
-    fn surfaces<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Vec<Bound<'py, PyAny>>> {
+    fn surfaces<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
         let seen = |one: &World| -> Vec<_> { one.couplings().iter().flat_map(|one| one.surfaces()).collect() };
         self.look(py, world, seen)?.into_iter().map(|surface| records::surface(py, &surface)).collect()
     }
 
     /// Where the levels of the grid are but the coarsest, which has the rest, finest first: for each an array of the least and the greatest corners of its boxes [m], float64 of shape (boxes, 2, 3).
     #[pyo3(signature = (*, world=0))]
-    fn level_boxes<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Vec<Bound<'py, PyAny>>> {
+    fn level_boxes<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Vec<Bound<'py, PyAny>>> {
         let seen = |one: &World| (one.ground_where(&|_| false).levels, one.plan().cell_widths.clone());
         let (phase, widths) = self.look(py, world, seen)?;
         let all = phase.iter().flat_map(|phase| phase.boxes.iter().zip(&widths));
@@ -907,7 +941,11 @@ impl Simulation {
     ///
     /// Raises `PluginError` if a material does not tell the stress that a probe asks for.
     #[pyo3(signature = (*, world=0))]
-    fn probes<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyDict>> {
+    fn probes<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Bound<'py, PyDict>> {
         let all = PyDict::new(py);
         for probed in self.look(py, world, |one| one.probes(|_| true))?.or_raise(py)? {
             let columns = PyDict::new(py);
@@ -921,7 +959,11 @@ impl Simulation {
 
     /// Wall time that every effect has taken in a world since it was made [s], by name.
     #[pyo3(signature = (*, world=0))]
-    fn timing<'py>(&self, py: Python<'py>, world: usize) -> PyResult<Bound<'py, PyDict>> {
+    fn timing<'py>(
+        &self,
+        py: Python<'py>,
+        #[pyo3(from_py_with = number)] world: usize,
+    ) -> PyResult<Bound<'py, PyDict>> {
         let all = PyDict::new(py);
         for timing in self.look(py, world, World::timings)? {
             all.set_item(timing.effect, timing.seconds)?;

@@ -394,6 +394,14 @@ def test_what_a_subclass_returns_is_held_to_its_shapes():
         Press(2, overrides=[{}])
     with pytest.raises(ValueError, match="interval"):
         SceneVectorEnv(scene(), interval=0.0, max_episode_steps=1, action_space=None, observation_space=None)
+    # What worlds run on is known when the environment is made.
+    for machine, said in [({"backend": "cuda"}, "'cuda' is none; there are 'cpu'"), ({"precision": "f16"}, "'f16' is neither"), ({"threads": -1}, "-1 is no number")]:
+        for make in (lambda: Press(2, **machine), lambda: gymnasium.make("barchan/SmoothSurface-v0", **machine)):
+            with pytest.raises(ValueError, match=said):
+                make()
+    for arguments, said in [({"options": 3}, "options: 3 is no dict"), ({"seed": 1.5}, "seed: 1.5 is none")]:
+        with pytest.raises((TypeError, ValueError), match=said):
+            Press(2).reset(**arguments)
     with pytest.raises(NotImplementedError, match="SceneVectorEnv has no observe"):
         box = gymnasium.spaces.Box(-1.0, 1.0, (1,))
         SceneVectorEnv(scene(), interval=0.1, max_episode_steps=1, action_space=box, observation_space=box).reset(seed=0)

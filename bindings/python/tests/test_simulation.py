@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 import barchan
+from barchan import view
 
 
 def test_a_pressed_block_pushes_back_and_keeps_its_mass(press):
@@ -651,6 +652,55 @@ def test_errors_say_what_where_and_how_to_mend_it(press, tmp_path):
         barchan.Simulation("dig", overrides={"world.cell": 0.05}).height_scan([[np.nan, 0.1]])
 
 
+def test_what_cannot_be_meant_is_refused_by_its_name(press, tmp_path):
+    s = barchan.Simulation(press)
+    one = np.zeros((1, 3))
+    for error, said, ask in [
+        (TypeError, "(?s)-1 is no whole number from 0 on.*'world'", lambda: s.particles(world=-1)),
+        (TypeError, "(?s)True is no whole number.*'count'", lambda: s.step(True)),
+        (TypeError, "(?s)-1 is no whole number.*'threads'", lambda: barchan.Simulation(press, threads=-1)),
+        (ValueError, r"points: the number at \[0, 0\] is NaN", lambda: s.height_scan([[np.nan, 0.1]])),
+        (ValueError, r"points: the number at \[1, 1\] is inf", lambda: s.height_arrays([[0.1, 0.1], [0.1, np.inf]])),
+        (ValueError, r"points: the number at \[0, 2\] is NaN", lambda: s.chamfer([[0.1, 0.1, np.nan]])),
+        (ValueError, "region: it goes from .* give its least corner first", lambda: s.particles(region=((1, 1, 1), (0, 0, 0)))),
+        (ValueError, "region: it goes from .*NaN", lambda: s.height_map(((np.nan, 0), (1, 1)))),
+        (ValueError, "region: its shape is", lambda: s.height_map((0, 1))),
+        (ValueError, "at: NaN is no place of a plane", lambda: s.cut(np.nan)),
+        (barchan.BodyError, "particle 0 comes twice", lambda: s.set_particles([0, 0], velocity=np.zeros((2, 3)))),
+        (barchan.BodyError, "there is no particle 99999999", lambda: s.set_particles([99999999], velocity=one)),
+        (barchan.BodyError, "another place with a number of 1.000e30 is asked for", lambda: s.place("plate", velocity=[0, 0, 1e30])),
+        (barchan.BodyError, "a twist with a number of 2.000e15 is asked for", lambda: s.act("plate", linear=[0, 0, -2e15])),
+        (ValueError, "picture: it is an array of float64", lambda: view.save_png(tmp_path / "a.png", np.zeros((4, 4, 3)))),
+        (ValueError, "seeds: there are 2 of them for 1 worlds", lambda: s.reset(seeds=[1, 2])),
+    ]:
+        with pytest.raises(error, match=said):
+            ask()
+    s.step()
+    with pytest.raises(ValueError, match="seconds: 1e-300 is too short"):
+        s.record(1e-300)
+    # Nothing of it has changed anything.
+    again = barchan.Simulation(press)
+    again.step()
+    assert np.array_equal(s.particles().position, again.particles().position)
+
+
+def test_a_state_that_one_world_refuses_leaves_all_as_they_are(press, same):
+    worlds = barchan.Simulation(press, worlds=2, overrides=[{}, {"gravity": [0.0, 0.0, -1.0]}])
+    start = worlds.state()
+    worlds.step(5)
+    before = worlds.fork()
+    with pytest.raises(barchan.BodyError, match="another scene: gravity"):
+        worlds.restore(start)
+    assert worlds.step_count == 5 and same(worlds, before)
+
+
+def test_seeds_count_from_a_number(press):
+    worlds = barchan.Simulation(press, worlds=3, seed=4)
+    first = [worlds.particles(world=world).position for world in range(3)]
+    worlds.reset(seeds=5)
+    assert np.array_equal(worlds.particles(world=0).position, first[1]) and np.array_equal(worlds.particles(world=1).position, first[2])
+
+
 def test_a_world_that_cannot_go_on_says_which_and_why(press):
     press["time"]["step"] = 1e-3
     worlds = barchan.Simulation(press, worlds=2)
@@ -667,7 +717,7 @@ def test_a_world_that_cannot_go_on_says_which_and_why(press):
     with pytest.raises(barchan.BodyError, match="nan|NaN|finite"):
         worlds.act("plate", linear=[0, 0, np.nan])
     # What no later step could heal is not even tried.
-    with pytest.raises(barchan.BodyError, match="a velocity of 1.000e40 is asked for"):
+    with pytest.raises(barchan.BodyError, match="a twist with a number of 1.000e40 is asked for"):
         worlds.act("plate", linear=[0, 0, 1e40])
 
 

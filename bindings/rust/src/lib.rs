@@ -316,7 +316,7 @@ pub use barchan_core::{Coupling, NodeBatch};
 /// # Ok::<(), barchan::Error>(())
 /// ```
 #[doc(inline)]
-pub use barchan_core::{Command, Placement};
+pub use barchan_core::{Command, GREATEST, Placement};
 
 /// A robot: what its URDF says, and how its joints are. Targets come in the order of [`Simulation::joints`].
 ///

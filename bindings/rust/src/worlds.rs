@@ -28,7 +28,6 @@ use barchan_core::{
     Error, HeightScan, Options, Plan, Registry, Result, Scene, Simulation, State, StepReport, Together,
 };
 use rayon::{ThreadPool, ThreadPoolBuilder};
-use std::panic::resume_unwind;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -60,6 +59,22 @@ enum Machine {
     Together(Together),
 }
 
+impl Machine {
+    fn simulations(&self) -> &[Simulation] {
+        match self {
+            Self::Apart(simulations) => simulations,
+            Self::Together(together) => together.worlds(),
+        }
+    }
+
+    fn simulations_mut(&mut self) -> &mut [Simulation] {
+        match self {
+            Self::Apart(simulations) => simulations,
+            Self::Together(together) => together.worlds_mut(),
+        }
+    }
+}
+
 impl Worlds {
     /// One world for each scene. `options.threads` is the number of worlds stepped at a time on the processor; 0: as many as the machine has
     /// threads.
@@ -86,7 +101,7 @@ impl Worlds {
                 let made = Simulation::new(registry, scene, &options);
                 made.inspect_err(|_| refused.store(true, Ordering::Relaxed))
             };
-            side_by_side(pool.current_num_threads().min(scenes.len()), wanted, make).into_iter().collect()
+            side_by_side(&pool, wanted, make).into_iter().collect()
         };
         let machine = match together {
             Some(together) => Machine::Together(together),
@@ -105,32 +120,13 @@ impl Worlds {
         Self::new(registry, scenes, options)
     }
 
-    fn simulations(&self) -> &[Simulation] {
-        match &self.machine {
-            Machine::Apart(simulations) => simulations,
-            Machine::Together(together) => together.worlds(),
-        }
-    }
-
-    fn simulations_mut(&mut self) -> &mut [Simulation] {
-        match &mut self.machine {
-            Machine::Apart(simulations) => simulations,
-            Machine::Together(together) => together.worlds_mut(),
-        }
-    }
-
-    /// How many worlds have a thread at a time.
-    fn threads(&self) -> usize {
-        self.pool.current_num_threads().min(self.len())
-    }
-
     /// Number of worlds.
     pub fn len(&self) -> usize {
-        self.simulations().len()
+        self.machine.simulations().len()
     }
     /// Are there none?
     pub fn is_empty(&self) -> bool {
-        self.simulations().is_empty()
+        self.machine.simulations().is_empty()
     }
     /// Do they take part in the same passes, so that their steps are of the same length?
     pub fn are_together(&self) -> bool {
@@ -141,18 +137,18 @@ impl Worlds {
     /// # Panics
     /// If there is no such world.
     pub fn world(&self, world: usize) -> &Simulation {
-        &self.simulations()[world]
+        &self.machine.simulations()[world]
     }
     /// A world, to act on: its bodies are driven through it. A step that is taken here moves this world only.
     ///
     /// # Panics
     /// If there is no such world.
     pub fn world_mut(&mut self, world: usize) -> &mut Simulation {
-        &mut self.simulations_mut()[world]
+        &mut self.machine.simulations_mut()[world]
     }
     /// All worlds in their order.
     pub fn iter(&self) -> impl Iterator<Item = &Simulation> {
-        self.simulations().iter()
+        self.machine.simulations().iter()
     }
 
     /// One step of every world. A world that fails stays as it was and keeps its error; the others have taken their step.
@@ -185,11 +181,10 @@ impl Worlds {
     pub fn approach(&mut self, until: &[f64], within: Duration) -> Vec<Result<bool>> {
         assert_eq!(until.len(), self.len(), "there is a time for each world");
         let begun = Instant::now();
-        let threads = self.threads();
         match &mut self.machine {
             Machine::Apart(simulations) => {
                 let worlds = simulations.iter_mut().zip(until);
-                side_by_side(threads, worlds, |(world, until)| approach_of(world, *until, begun, within))
+                side_by_side(&self.pool, worlds, |(world, until)| approach_of(world, *until, begun, within))
             }
             Machine::Together(together) => self.pool.install(|| {
                 // What time is left, where rounding has kept steps from ending all at once, is not worth a step.
@@ -220,9 +215,8 @@ impl Worlds {
 
     /// Runs `action` on every world and returns what it gave in the worlds' order. Worlds on the processor run side by side.
     pub fn each<R: Send>(&mut self, action: impl Fn(&mut Simulation) -> R + Send + Sync) -> Vec<R> {
-        let threads = self.threads();
         match &mut self.machine {
-            Machine::Apart(simulations) => side_by_side(threads, simulations, action),
+            Machine::Apart(simulations) => side_by_side(&self.pool, simulations, action),
             Machine::Together(together) => together.worlds_mut().iter_mut().map(action).collect(),
         }
     }
@@ -233,8 +227,8 @@ impl Worlds {
         given: Vec<T>,
         action: impl Fn(&Simulation, T) -> R + Send + Sync,
     ) -> Vec<R> {
-        let threads = self.threads();
-        side_by_side(threads, self.simulations_mut().iter_mut().zip(given), |(world, given)| action(world, given))
+        let worlds = self.machine.simulations_mut().iter_mut();
+        side_by_side(&self.pool, worlds.zip(given), |(world, given)| action(world, given))
     }
 
     /// Looks at every world for what is wanted of it ([`Simulation::watch`]), side by side on the processor.
@@ -243,10 +237,9 @@ impl Worlds {
     /// If there is not one for each world.
     pub fn watch(&mut self, watches: &[Watch]) -> Vec<Result<Seen>> {
         assert_eq!(watches.len(), self.len(), "there is one for each world");
-        let threads = self.threads();
         match &mut self.machine {
             Machine::Apart(simulations) => {
-                side_by_side(threads, simulations.iter_mut().zip(watches), |(world, watch)| world.watch(watch))
+                side_by_side(&self.pool, simulations.iter_mut().zip(watches), |(world, watch)| world.watch(watch))
             }
             Machine::Together(together) => together.watch(watches),
         }
@@ -338,7 +331,7 @@ impl Worlds {
     /// differs in its random seed alone brings that seed along; this costs as much as a [reset](Self::reset).
     ///
     /// # Errors
-    /// Those of [`Simulation::restore`].
+    /// Those of [`Simulation::restore`]. If one is no state of its world's scene, all worlds are as they were.
     ///
     /// # Panics
     /// If there is no such world.
@@ -346,6 +339,8 @@ impl Worlds {
         let (registry, options) = (&self.registry, &self.options);
         match &mut self.machine {
             Machine::Apart(simulations) => {
+                // Of all of them, before the first one goes back.
+                states.iter().try_for_each(|(world, state)| simulations[*world].check_state(state))?;
                 states.iter().try_for_each(|(world, state)| simulations[*world].restore(registry, state, options))?;
             }
             Machine::Together(together) => self.pool.install(|| together.restore(states, registry, options))?,
@@ -400,27 +395,24 @@ pub fn check_count(worlds: usize) -> Result<()> {
     Err(Error::Capacity { what: "worlds", asked: worlds as u64, cap: MOST_WORLDS as u64, mend })
 }
 
-/// Does `work` on every item, `threads` at a time, and returns what it gave in the items' order.
+/// Does `work` on every item, one on each thread of a pool at a time, and returns what it gave in the items' order.
 ///
-/// The threads are no pool's. One of a pool that waits for an engine's own thread, or within a device's work, takes up the next world meanwhile, inside
-/// the call for the last: with hundreds of worlds its stack is full.
+/// Each thread has one task, which takes up one item after the other. A thread of a pool that waits, for an engine's own thread or within a device's work, takes up the pool's
+/// next task meanwhile: were every item one, worlds would be stepped inside the calls for others, and with hundreds of them the stack would be full.
 fn side_by_side<T: Send, R: Send>(
-    threads: usize,
+    pool: &ThreadPool,
     items: impl IntoIterator<Item = T, IntoIter: Send>,
     work: impl Fn(T) -> R + Sync,
 ) -> Vec<R> {
-    if threads <= 1 {
-        return items.into_iter().map(work).collect();
+    let items = items.into_iter();
+    if pool.current_num_threads() == 1 || items.size_hint().1.is_some_and(|most| most <= 1) {
+        return items.map(work).collect();
     }
-    let items = Mutex::new(items.into_iter().enumerate());
+    let items = Mutex::new(items.enumerate());
     // Locked for the item alone, not while it is worked on.
     let next = || items.lock().unwrap_or_else(PoisonError::into_inner).next();
     let share = || std::iter::from_fn(next).map(|(place, item)| (place, work(item))).collect::<Vec<_>>();
-    let mut done: Vec<(usize, R)> = std::thread::scope(|scope| {
-        let shares: Vec<_> = (0..threads).map(|_| scope.spawn(share)).collect();
-        let joined = shares.into_iter().map(|share| share.join().unwrap_or_else(|panic| resume_unwind(panic)));
-        joined.flatten().collect()
-    });
+    let mut done: Vec<(usize, R)> = pool.broadcast(|_| share()).into_iter().flatten().collect();
     done.sort_unstable_by_key(|(place, _)| *place);
     done.into_iter().map(|(_, result)| result).collect()
 }

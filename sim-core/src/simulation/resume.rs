@@ -64,6 +64,10 @@ impl Moment {
     }
 }
 
+/// What to do with a state of another scene.
+const OTHER_SCENE: &str =
+    "make a simulation of the state's scene and restore it there (in Rust, Simulation::from_state makes one)";
+
 /// The plan and the couplings of a simulation that goes on from a state.
 type Prepared = (Arc<Plan>, Vec<Box<dyn Coupling>>);
 
@@ -178,13 +182,21 @@ impl Simulation {
         Ok(())
     }
 
+    /// Is it a state that [`restore`](Self::restore) takes? Nothing is changed.
+    ///
+    /// # Errors
+    /// [`Error::Body`] if it is one of another scene or number format.
+    pub fn check_state(&self, state: &State) -> Result<()> {
+        match self.differs(state).filter(|_| !self.is_seeded_otherwise(state)) {
+            Some(what) => Err(unfit(what, OTHER_SCENE)),
+            None => Ok(()),
+        }
+    }
+
     /// First, couplings as a state has them; returns what they were.
     pub(crate) fn take_couplings(&mut self, state: &State) -> Result<Saved> {
         if let Some(what) = self.differs(state) {
-            return Err(unfit(
-                what,
-                "make a simulation of the state's scene and restore it there (in Rust, Simulation::from_state makes one)",
-            ));
+            return Err(unfit(what, OTHER_SCENE));
         }
         let before: Saved = self.couplings.iter().map(|c| (c.name().to_owned(), c.save())).collect();
         if let Err((what, mend)) = restore(&mut self.couplings, &state.moment.couplings) {

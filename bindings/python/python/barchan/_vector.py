@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from barchan._core import registry
 from barchan.errors import BodyError
 
 try:
@@ -97,14 +98,15 @@ class WorldsVectorEnv(VectorEnv):
         `options["stagger"] = True` truncates these episodes early, each world's at another time, so that worlds are at different times of their episodes from then on: what is
         seen of all of them in a few steps is then like what is seen in an episode.
         """
-        if seed is None or isinstance(seed, (int, np.integer)):
+        if isinstance(seed, (list, tuple, np.ndarray)):
+            seeds = list(seed)
+        else:
             [first] = checked_seeds([seed])
             seeds = [None if first is None else first + w for w in range(self.num_envs)]
-        else:
-            seeds = list(seed)
         if len(seeds) != self.num_envs:
             raise ValueError(f"seed: there are {len(seeds)} of them for {self.num_envs} worlds")
         seeds = checked_seeds(seeds)
+        check_options(options)
         mask = (options or {}).get("reset_mask")
         own = {name: value for name, value in (options or {}).items() if name not in ("reset_mask", "stagger")}
         self._check_reset_options(own)
@@ -222,7 +224,24 @@ def check_count(name: str, count: Any) -> None:
         raise ValueError(f"{name}: {count!r} is none; give a whole number from 1 on")
 
 
+def check_machine(backend: Any, precision: Any, threads: Any) -> None:
+    """What worlds run on, before there are any."""
+    known = registry()["backends"]
+    if backend not in known:
+        raise ValueError(f"backend: {backend!r} is none; there are {', '.join(map(repr, known))}")
+    if precision not in ("f32", "f64"):
+        raise ValueError(f"precision: {precision!r} is neither 'f32' nor 'f64'")
+    if not (isinstance(threads, (int, np.integer)) and threads >= 0):
+        raise ValueError(f"threads: {threads!r} is no number of them; give a whole number, 0 for as many as the machine has")
+
+
+def check_options(options: Any) -> None:
+    if not (options is None or isinstance(options, dict)):
+        raise TypeError(f"options: {options!r} is no dict of them")
+
+
 def refuse_options(options: dict[str, Any] | None, mend: str) -> None:
+    check_options(options)
     if options:
         raise ValueError(f"options: {', '.join(map(repr, options))} mean nothing here; {mend}")
 

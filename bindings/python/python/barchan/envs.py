@@ -25,6 +25,7 @@ from barchan._vector import (
     WorldsVectorEnv,
     as_tensor,
     check_count,
+    check_machine,
     check_render_mode,
     checked_actions,
     checked_seeds,
@@ -59,6 +60,7 @@ class _Played:
         residual: float | None,
         failures: Literal["raise", "end"],
     ) -> None:
+        check_machine(backend, precision, threads)
         self.task = task(task_name, parameters)
         # Of a scene of one's own, its file.
         self._task_name = task_name

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from barchan._core import Simulation, State, View
-from barchan._vector import Step, WorldsVectorEnv, as_array, check_count, checked_actions, checked_seeds, reset_needed
+from barchan._vector import Step, WorldsVectorEnv, as_array, check_count, check_machine, checked_actions, checked_seeds, reset_needed
 from barchan.errors import BodyError, SimulationError
 
 import gymnasium
@@ -100,6 +100,7 @@ class SceneVectorEnv(WorldsVectorEnv):
             raise ValueError(f"failures: {failures!r} is neither 'raise' nor 'end'")
         if picture not in ("page", "ground"):
             raise ValueError(f"picture: {picture!r} is neither 'page' nor 'ground'")
+        check_machine(backend, precision, threads)
         check_count("decimation", decimation)
         super().__init__(num_envs, action_space, observation_space, max_episode_steps, render_mode, autoreset_mode, torch)
         each = [overrides or {}] * num_envs if isinstance(overrides, (dict, type(None))) else overrides

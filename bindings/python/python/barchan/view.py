@@ -32,14 +32,22 @@ def picture(simulation: Simulation, *, part: Literal["page", "ground"] = "page",
     return View(simulation, world=world).draw(simulation, part=part, world=world)
 
 
+def _pixels(picture: Any) -> NDArray[np.uint8]:
+    """A picture as it is written, if it is one."""
+    given = np.asarray(picture)
+    if given.dtype != np.uint8 or given.ndim != 3 or given.shape[2] != 3:
+        raise ValueError(f"picture: it is an array of {given.dtype} of shape {given.shape}; give uint8 of shape (rows, columns, 3), RGB from 0 to 255")
+    return np.ascontiguousarray(given)
+
+
 def save_png(path: str | os.PathLike[str], picture: NDArray[np.uint8]) -> None:
-    """Writes a picture as a PNG file."""
-    write_png(path, np.ascontiguousarray(picture))
+    """Writes a picture as a PNG file: (rows, columns, 3), uint8, RGB."""
+    write_png(path, _pixels(picture))
 
 
 def save_gif(path: str | os.PathLike[str], pictures: Sequence[NDArray[np.uint8]], *, seconds: float = 0.04, most_bytes: int = 8_000_000) -> None:
     """Writes pictures of one size as an endless animation, each shown for `seconds`. Every second one is left out until the file has at most `most_bytes`."""
-    write_gif(path, [np.ascontiguousarray(one) for one in pictures], seconds=seconds, most_bytes=most_bytes)
+    write_gif(path, [_pixels(one) for one in pictures], seconds=seconds, most_bytes=most_bytes)
 
 
 def save_mp4(path: str | os.PathLike[str], pictures: Iterable[NDArray[np.uint8]], *, seconds: float = 0.04) -> None:
@@ -57,9 +65,9 @@ def save_mp4(path: str | os.PathLike[str], pictures: Iterable[NDArray[np.uint8]]
         raise ValueError(f"seconds: {seconds}; give how long a picture is shown, from 0.001 to 1000 s")
     writer, first = None, None
     try:
-        for picture in pictures:
-            if picture.dtype != np.uint8 or picture.ndim != 3 or picture.shape[2] != 3 or min(picture.shape[:2]) < 2:
-                raise ValueError(f"pictures: one is {picture.dtype} of shape {picture.shape}; give uint8 of shape (rows, columns, 3), two rows and columns at least")
+        for picture in map(_pixels, pictures):
+            if min(picture.shape[:2]) < 2:
+                raise ValueError(f"pictures: one has the shape {picture.shape}; a film takes two rows and columns at least")
             rows, columns = (size - size % 2 for size in picture.shape[:2])
             if writer is None:
                 first = picture.shape
