@@ -544,9 +544,9 @@ impl Giver<'_> {
     }
 }
 
-/// The unit after a range, if there is one.
+/// The unit after a range, if there is one; shares have "1".
 fn unit_of(parameter: &Parameter) -> String {
-    if parameter.unit.is_empty() { String::new() } else { format!(" {}", parameter.unit) }
+    if matches!(parameter.unit.as_str(), "" | "1") { String::new() } else { format!(" {}", parameter.unit) }
 }
 
 /// What was given, where another type is wanted.

@@ -126,7 +126,7 @@ fn parameters_are_held_to_the_law() {
         ),
         ("material[0].parameters.young_modulus_deg=1", "young_modulus_deg", "has no parameter"),
         ("material[0].parameters.young_modulus=0", "young_modulus", "is 0; must be in (0, 1000000000000] Pa"),
-        ("material[0].parameters.poisson_ratio=0.5", "poisson_ratio", "must be in (-1, 0.5) 1"),
+        ("material[0].parameters.poisson_ratio=0.5", "poisson_ratio", "is 0.5; must be in (-1, 0.5)"),
         ("material[0].parameters.poisson_ratio=nan", "poisson_ratio", "is NaN"),
         ("material[0].parameters.friction_angle_deg=95", "friction_angle_deg", "is 95 deg, that is 1.658"),
         (
@@ -137,7 +137,7 @@ fn parameters_are_held_to_the_law() {
     ] {
         let error = with(&[setting]).expect_err(setting).to_string();
         assert!(error.starts_with(&format!("--set: material[0].parameters.{path}: ")), "{error}");
-        assert!(error.contains(message), "{error}");
+        assert!(error.contains(message) && !error.ends_with(" 1"), "{error}");
     }
     let error = with(&["material[0].parameters={ young_modulus = 2e11, poisson_ratio = 0.45 }"]).unwrap_err();
     assert!(

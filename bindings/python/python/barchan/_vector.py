@@ -98,7 +98,7 @@ class WorldsVectorEnv(VectorEnv):
         `options["stagger"] = True` truncates these episodes early, each world's at another time, so that worlds are at different times of their episodes from then on: what is
         seen of all of them in a few steps is then like what is seen in an episode.
         """
-        if isinstance(seed, (list, tuple, np.ndarray)):
+        if isinstance(seed, (Sequence, np.ndarray)):
             seeds = list(seed)
         else:
             [first] = checked_seeds([seed])
