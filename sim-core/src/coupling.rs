@@ -666,7 +666,7 @@ pub trait Coupling: Send + Sync {
     /// of the ground are within a box [m]. Returns whether anything has changed.
     ///
     /// # Errors
-    /// [`Error::Body`](crate::Error::Body) if a body would appear within the ground; nothing has changed then. What `places` says.
+    /// [`Error::Body`] if a body would appear within the ground; nothing has changed then. What `places` says.
     fn change(&mut self, time: f64, places: &mut dyn FnMut(&Aabb) -> Result<Vec<Vec3>>) -> Result<bool> {
         let _ = (time, places);
         Ok(false)
@@ -706,7 +706,7 @@ pub trait Coupling: Send + Sync {
     /// and to particles, which is added to `near`, and to the body's place, which is added to `owed`.
     ///
     /// # Errors
-    /// [`Error::Missing`](crate::Error::Missing) if it has none.
+    /// [`Error::Missing`] if it has none.
     fn touch_back(
         &self,
         body: usize,
