@@ -81,6 +81,22 @@ def test_stable_baselines_learns_a_task_of_ones_own():
     assert ended.all() and all(info["TimeLimit.truncated"] for info in infos)
     PPO("MlpPolicy", worlds, n_steps=8, batch_size=12, device="cpu").learn(24)
 
+    class Parts(Press):
+        def observe(self, worlds):
+            ball = self.simulation.body_arrays("ball", worlds=worlds)
+            return {"height": ball.position[:, 2:], "velocity": ball.velocity}
+
+    options["observation_space"] = gymnasium.spaces.Dict({"height": box, "velocity": gymnasium.spaces.Box(-1.0, 1.0, (3,))})
+    worlds = Worlds(Parts(scene, 3, autoreset_mode="SameStep", **options))
+    first = worlds.reset()
+    for _ in range(4):
+        seen, _, ended, infos = worlds.step(np.ones((3, 1), np.float32))
+    assert ended.all() and np.array_equal(seen["height"], first["height"])
+    assert all(info["terminal_observation"]["height"] > first["height"][0] for info in infos)
+    PPO("MultiInputPolicy", worlds, n_steps=8, batch_size=12, device="cpu").learn(24)
+    tensors, _ = Parts(scene, 2, torch=True, **options).reset(seed=0)
+    assert tensors["velocity"].shape == (2, 3) and np.array_equal(tensors["height"].numpy(), first["height"][:2])
+
 
 def test_tensors_go_in_and_come_out():
     import torch

@@ -356,6 +356,62 @@ def test_commands_within_a_step_options_and_whole_numbers():
         barchan.envs.TaskVectorEnv("SmoothSurface-lite", 1).reset(options={"reset_masks": 1})
 
 
+class Parts(SceneVectorEnv):
+    """The plate, seen in parts by name."""
+
+    def __init__(self, num_envs, **options):
+        boxes = {"height": gymnasium.spaces.Box(-9.0, 9.0, (1,)), "ground": gymnasium.spaces.Box(-9.0, 9.0, (2, 2), np.float64)}
+        action_space = gymnasium.spaces.Box(-1.0, 1.0, (1,))
+        space = gymnasium.spaces.Dict(boxes)
+        super().__init__(scene(), num_envs, interval=INTERVAL, max_episode_steps=3, action_space=action_space, observation_space=space, **options)
+
+    act = Press.act
+    asked: list[str] = []
+
+    def observe(self, worlds):
+        self.plate = self.simulation.body_arrays("plate", worlds=worlds)
+        ground = self.simulation.height_arrays([[0.2, 0.2], [0.05, 0.05], [0.2, 0.15], [0.15, 0.2]], worlds=worlds)
+        return {"height": self.plate.position[:, 2:], "ground": ground.reshape(-1, 2, 2)}
+
+    def reward(self, actions):
+        return self.plate.force[:, 2]
+
+
+def test_observations_may_have_parts_by_name():
+    actions = np.array([[-1.0], [0.5]], np.float32)
+    vector = Parts(2)
+    first, _ = vector.reset(seed=0)
+    assert vector.observation_space.contains(first) and first["height"].dtype == np.float32 and first["ground"].dtype == np.float64
+    steps = [vector.step(actions) for _ in range(4)]
+    assert steps[0][0]["height"][0] < first["height"][0] < steps[0][0]["height"][1]
+    assert first["ground"].shape == (2, 2, 2) and first["ground"][0, 0, 1] == 0.0 < first["ground"][0, 0, 0]
+    # The step behind the end begins the next episode.
+    assert steps[2][3].all() and all(np.array_equal(steps[3][0][name], first[name]) for name in first)
+    # What is told of an episode's end, and of worlds that begin anew alone.
+    same = Parts(2, autoreset_mode="SameStep")
+    same.reset(seed=0)
+    last = [same.step(actions) for _ in range(3)][-1]
+    for world, final in enumerate(last[4]["final_obs"]):
+        assert all(np.array_equal(final[name], steps[2][0][name][world]) for name in final)
+        assert all(np.array_equal(last[0][name], first[name]) for name in first)
+    waits = Parts(2, autoreset_mode="Disabled")
+    waits.reset(seed=0)
+    moved = waits.step(actions)[0]
+    again, _ = waits.reset(options={"reset_mask": np.array([False, True])})
+    for name in first:
+        assert np.array_equal(again[name][0], moved[name][0]) and np.array_equal(again[name][1], first[name][1])
+    check_env(OneWorldEnv(Parts(1, autoreset_mode="Disabled")), skip_render_check=True)
+    for wrong, said in [
+        (lambda worlds: np.zeros((2, 1)), r"observe: it returns a ndarray; return a dict of arrays by the names \['ground', 'height'\]"),
+        (lambda worlds: {"height": np.zeros((2, 1))}, r"observe: it returns a dict of \['height'\]"),
+        (lambda worlds: {"height": np.zeros((2, 1)), "ground": np.zeros((2, 2))}, r"observe: ground: it returns an array of shape \(2, 2\)"),
+    ]:
+        faulty = Parts(2)
+        faulty.observe = wrong
+        with pytest.raises(ValueError, match=said):
+            faulty.reset(seed=0)
+
+
 def test_what_a_subclass_returns_is_held_to_its_shapes():
     class Flat(Press):
         def observe(self, worlds):

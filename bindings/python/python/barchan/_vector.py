@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -19,8 +19,10 @@ try:
 except ImportError as error:
     raise ImportError("gymnasium 1.1 or newer is missing: pip install 'barchan[gym]'") from error
 
+# What is seen: an array with a row for each world, or such arrays by the names of a `Dict`.
+Seen: TypeAlias = NDArray[Any] | dict[str, NDArray[Any]]
 # Observations, rewards, terminated, truncated, and numbers that are told by name: arrays with a row for each world.
-Step: TypeAlias = tuple[NDArray[Any], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, NDArray[Any]]]
+Step: TypeAlias = tuple[Seen, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, NDArray[Any]]]
 
 
 class WorldsVectorEnv(VectorEnv):
@@ -54,7 +56,8 @@ class WorldsVectorEnv(VectorEnv):
         self.max_episode_steps = max_episode_steps
         self.metadata = self.metadata | {"autoreset_mode": self.autoreset_mode}
         self.__torch = torch_device(torch)
-        self.__seen = np.zeros((num_envs, *(observation_space.shape or ())), observation_space.dtype)
+        one = observation_space.spaces if isinstance(observation_space, gymnasium.spaces.Dict) else observation_space
+        self.__seen: Seen = each_part(lambda space: np.zeros((num_envs, *space.shape), space.dtype), one)
         # Steps after which the episode in each world is truncated.
         self.__most = np.full(num_envs, max_episode_steps, np.int64)
         self.__seeds = np.full(num_envs, -1, np.int64)
@@ -63,7 +66,7 @@ class WorldsVectorEnv(VectorEnv):
         self.__ended = np.zeros(num_envs, np.bool_)
         self.__terminated = np.zeros(num_envs, np.bool_)
 
-    def _begin_worlds(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[Any]:
+    def _begin_worlds(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> Seen:
         """New episodes in these worlds, for which `reset` has been given these options. Returns what is seen of them, or of all worlds."""
         raise NotImplementedError
 
@@ -126,7 +129,7 @@ class WorldsVectorEnv(VectorEnv):
         if (options or {}).get("stagger"):
             count = int(chosen.sum())
             self.__most[chosen] = np.maximum(self.max_episode_steps * np.arange(1, count + 1) // count, 1)
-        return self.__out(self.__seen.copy()), self.__seed_info(chosen)
+        return self.__out(each_part(np.copy, self.__seen)), self.__seed_info(chosen)
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         if not self._has_worlds():
@@ -154,7 +157,7 @@ class WorldsVectorEnv(VectorEnv):
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             last = np.full(self.num_envs, None, dtype=object)
             for world in np.flatnonzero(ended):
-                last[world] = self.__out(self.__seen[world].copy())
+                last[world] = self.__out(row_of(self.__seen, world))
             final = {name: ended.copy() if name.startswith("_") else values.copy() for name, values in info.items()}
             info = {name: values & ~ended if name.startswith("_") else values for name, values in info.items()}
             info |= {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
@@ -164,7 +167,7 @@ class WorldsVectorEnv(VectorEnv):
             self.__ended[:] = False
         else:
             self.__ended, self.__terminated = ended, terminated.copy()
-        return self.__out(self.__seen.copy()), self.__out(rewards), self.__out(terminated), self.__out(truncated), info
+        return self.__out(each_part(np.copy, self.__seen)), self.__out(rewards), self.__out(terminated), self.__out(truncated), info
 
     @property
     def np_random_seed(self) -> tuple[int, ...]:
@@ -197,21 +200,40 @@ class WorldsVectorEnv(VectorEnv):
         self.__most[worlds] = self.max_episode_steps
         self.closed = False
         seen = self._begin_worlds(worlds, self.__seeds[worlds].tolist(), options)
-        if len(seen) == self.num_envs:
-            self.__seen = seen
+        if isinstance(seen, dict) and isinstance(self.__seen, dict):
+            self.__seen = {name: with_rows(self.__seen[name], worlds, part) for name, part in seen.items()}
         else:
-            self.__seen[worlds] = seen
+            self.__seen = with_rows(self.__seen, worlds, seen)
 
     def __seed_info(self, chosen: NDArray[np.bool_]) -> dict[str, Any]:
         return {"seed": np.where(chosen, self.__seeds, 0), "_seed": chosen.copy()}
 
     def __out(self, array: Any) -> Any:
-        """An array as the user wants it."""
-        return array if self.__torch is None else as_tensor(array, self.__torch)
+        """An array as the user wants it, or arrays by name."""
+        device = self.__torch
+        return array if device is None else each_part(lambda part: as_tensor(part, device), array)
 
     def __getstate__(self) -> dict[str, Any]:
         refuse_pickle(self._has_worlds())
         return self.__dict__
+
+
+def each_part(change: Callable[[Any], Any], seen: Any) -> Any:
+    """Changes what is seen, or each of its parts by name."""
+    return {name: change(part) for name, part in seen.items()} if isinstance(seen, dict) else change(seen)
+
+
+def row_of(seen: Any, world: int) -> Any:
+    """A copy of what is seen of one world."""
+    return each_part(lambda part: part[world].copy(), seen)
+
+
+def with_rows(all_rows: Any, worlds: list[int], rows: Any) -> Any:
+    """Rows of all worlds, of which some are new; or all of them are."""
+    if len(rows) == len(all_rows):
+        return rows
+    all_rows[worlds] = rows
+    return all_rows
 
 
 def check_render_mode(mode: str | None, known: list[str]) -> None:

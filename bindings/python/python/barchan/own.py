@@ -15,7 +15,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from barchan._core import Simulation, State, View
-from barchan._vector import Step, WorldsVectorEnv, as_array, check_count, check_machine, checked_actions, checked_seeds, reset_needed
+from barchan._vector import (
+    Seen,
+    Step,
+    WorldsVectorEnv,
+    as_array,
+    check_count,
+    check_machine,
+    checked_actions,
+    checked_seeds,
+    each_part,
+    reset_needed,
+)
 from barchan.errors import BodyError, SimulationError
 
 import gymnasium
@@ -52,7 +63,7 @@ class SceneVectorEnv(WorldsVectorEnv):
     action_space
         Of one world: a `Box`, `Discrete`, `MultiDiscrete` or `MultiBinary`. What lies beyond the limits of a `Box` is cut off, and `info["clipped"]` counts it.
     observation_space
-        A `Box`, of one world.
+        A `Box`, of one world, or a `Dict` of them: `observe` returns a dict of arrays by the same names then.
     decimation
         So many times in a control step `act` is called, each for its share of the interval: for torques that follow what joints do.
     overrides
@@ -77,7 +88,7 @@ class SceneVectorEnv(WorldsVectorEnv):
         interval: float,
         max_episode_steps: int,
         action_space: spaces.Space[Any],
-        observation_space: spaces.Box,
+        observation_space: spaces.Box | spaces.Dict,
         decimation: int = 1,
         overrides: dict[str, Any] | Sequence[dict[str, Any]] | None = None,
         render_mode: Literal["rgb_array"] | None = None,
@@ -94,8 +105,9 @@ class SceneVectorEnv(WorldsVectorEnv):
             raise ValueError(f"interval: {interval!r} is no time of a control step; give seconds above 0")
         if not isinstance(action_space, (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)):
             raise TypeError(f"action_space: it is a {type(action_space).__name__}; give a Box, Discrete, MultiDiscrete or MultiBinary of gymnasium.spaces")
-        if not isinstance(observation_space, spaces.Box):
-            raise TypeError(f"observation_space: it is a {type(observation_space).__name__}; give a gymnasium.spaces.Box")
+        parts = observation_space.spaces if isinstance(observation_space, spaces.Dict) else {"": observation_space}
+        if not parts or not all(isinstance(part, spaces.Box) for part in parts.values()):
+            raise TypeError(f"observation_space: it is a {type(observation_space).__name__}; give a Box of gymnasium.spaces, or a Dict of them")
         if failures not in ("raise", "end"):
             raise ValueError(f"failures: {failures!r} is neither 'raise' nor 'end'")
         if picture not in ("page", "ground"):
@@ -171,7 +183,7 @@ class SceneVectorEnv(WorldsVectorEnv):
         raise NotImplementedError(f"{type(self).__name__} has no act(actions)")
 
     def observe(self, worlds: list[int]) -> Any:
-        """What is seen of these worlds, a row for each: of all behind a control step, and of those that begin an episode."""
+        """What is seen of these worlds, an array with a row for each, or arrays by name: of all behind a control step, and of those that begin an episode."""
         raise NotImplementedError(f"{type(self).__name__} has no observe(worlds)")
 
     def reward(self, actions: NDArray[Any]) -> Any:
@@ -204,7 +216,7 @@ class SceneVectorEnv(WorldsVectorEnv):
 
     # What the episodes ask for.
 
-    def _begin_worlds(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> NDArray[Any]:
+    def _begin_worlds(self, worlds: list[int], seeds: list[int], options: dict[str, Any]) -> Seen:
         self.__broken[worlds] = True
         self.options = options
         for world, seed in zip(worlds, seeds, strict=True):
@@ -340,17 +352,26 @@ class SceneVectorEnv(WorldsVectorEnv):
         beyond = (actions < space.low) | (actions > space.high)
         return np.clip(actions, space.low, space.high), beyond.reshape(self.num_envs, -1).sum(axis=1)
 
-    def __observed(self, worlds: list[int]) -> NDArray[Any]:
-        space = self.single_observation_space
-        seen = self.__numbers(self.observe(worlds), "observe", "fiub" if space.dtype.kind == "f" else "iub")
+    def __observed(self, worlds: list[int]) -> Seen:
+        space, given = self.single_observation_space, self.observe(worlds)
+        if isinstance(space, spaces.Box):
+            return self.__as_in(space, given, "observe", worlds)
+        if not isinstance(given, dict) or given.keys() != space.spaces.keys():
+            what = f"a dict of {sorted(given, key=str)}" if isinstance(given, dict) else f"a {type(given).__name__}"
+            raise ValueError(f"observe: it returns {what}; return a dict of arrays by the names {sorted(space.spaces)}")
+        return {name: self.__as_in(part, given[name], f"observe: {name}", worlds) for name, part in space.spaces.items()}
+
+    def __as_in(self, space: spaces.Box, given: Any, name: str, worlds: list[int]) -> NDArray[Any]:
+        """What is seen of some worlds, as a space holds it."""
+        seen = self.__numbers(given, name, "fiub" if space.dtype.kind == "f" else "iub")
         if seen.shape != (len(worlds), *space.shape):
-            raise ValueError(f"observe: it returns an array of shape {seen.shape} for worlds {worlds}; return one of {(len(worlds), *space.shape)}, a row for each")
+            raise ValueError(f"{name}: it returns an array of shape {seen.shape} for worlds {worlds}; return one of {(len(worlds), *space.shape)}, a row for each")
         wrong = np.flatnonzero(np.isnan(seen.reshape(len(worlds), -1)).any(axis=1))
         if wrong.size:
-            raise ValueError(f"observe: the row of world {worlds[wrong[0]]} holds NaN: {seen[wrong[0]]}; give numbers")
+            raise ValueError(f"{name}: the row of world {worlds[wrong[0]]} holds NaN: {seen[wrong[0]]}; give numbers")
         kept = seen.astype(space.dtype)
         if space.dtype.kind != "f" and not np.array_equal(kept, seen):
-            raise ValueError(f"observe: there are numbers from {seen.min()} to {seen.max()}, and {space.dtype} holds no such ones")
+            raise ValueError(f"{name}: there are numbers from {seen.min()} to {seen.max()}, and {space.dtype} holds no such ones")
         return kept
 
     def __rows(self, values: Any, name: str, kinds: str) -> NDArray[Any]:
@@ -389,11 +410,11 @@ class OneWorldEnv(gymnasium.Env):
         [seed] = checked_seeds([seed])
         super().reset(seed=seed)
         observations, info = self.vector.reset(seed=seed, options=options)
-        return observations[0], _of_one(info)
+        return each_part(lambda part: part[0], observations), _of_one(info)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         observations, rewards, terminated, truncated, info = self.vector.step(action[None] if hasattr(action, "shape") else np.asarray(action)[None])
-        return observations[0], float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _of_one(info)
+        return each_part(lambda part: part[0], observations), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _of_one(info)
 
     def render(self) -> NDArray[np.uint8] | None:
         pictures = self.vector.render()

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from barchan._vector import WorldsVectorEnv
+from barchan._vector import Seen, WorldsVectorEnv
 
 try:
     from stable_baselines3.common.vec_env import VecEnv
@@ -32,7 +32,7 @@ class Worlds(VecEnv):
         self._actions: NDArray[np.float32] | None = None
         super().__init__(vector.num_envs, vector.single_observation_space, vector.single_action_space)
 
-    def reset(self) -> NDArray[np.float32]:
+    def reset(self) -> Seen:
         given = [seed for seed in self._seeds if seed is not None]
         # Options of environments are those of the first: worlds begin together.
         observations, _ = self.vector.reset(seed=list(self._seeds) if given else None, options=self._options[0])
@@ -43,7 +43,7 @@ class Worlds(VecEnv):
     def step_async(self, actions: NDArray[np.float32]) -> None:
         self._actions = actions
 
-    def step_wait(self) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
+    def step_wait(self) -> tuple[Seen, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
         observations, rewards, terminated, truncated, info = self.vector.step(self._actions)
         ended = terminated | truncated
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
