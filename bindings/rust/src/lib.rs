@@ -305,7 +305,7 @@ pub use barchan_core::{Coupling, NodeBatch};
 /// What a body is told to do. Tools that are driven by velocity take twists; a free ball takes none, but can be put elsewhere.
 ///
 /// ```
-/// use barchan::{Command, Options, Placement, Simulation};
+/// use barchan::{Command, GREATEST, Options, Placement, Simulation};
 ///
 /// let mut simulation = Simulation::new(&barchan::registry(), &barchan::example(), &Options::default())?;
 /// let error = simulation.act("ball", &Command::Twist { linear: [0.1, 0.0, 0.0], angular: [0.0; 3] }).unwrap_err();
@@ -313,6 +313,8 @@ pub use barchan_core::{Coupling, NodeBatch};
 /// let higher = Placement { position: Some([0.2, 0.2, 0.3]), ..Placement::default() };
 /// simulation.act("ball", &Command::Place(higher))?;
 /// assert_eq!(simulation.bodies()[0].position[2], 0.3);
+/// let too_fast = Placement { velocity: Some([0.0, 0.0, 2.0 * GREATEST]), ..Placement::default() };
+/// assert!(simulation.act("ball", &Command::Place(too_fast)).is_err());
 /// # Ok::<(), barchan::Error>(())
 /// ```
 #[doc(inline)]

@@ -500,8 +500,11 @@ fn are_near(rule: Rule, a: &Run, b: &Run) -> Held<()> {
         places
     };
     let (mut x, mut y) = (places(a, false), places(b, false));
-    // Who is outside and is deleted goes when particles are sorted, each backend at times of its own: bodies that have lost other particles are no measure.
-    if !x.keys().eq(y.keys()) && a.plan().scene.world.leaving != Leaving::Delete {
+    // Who is outside and is deleted goes when particles are sorted, each backend at times of its own, and who lies at the edge of a sink goes as its last bits have it: bodies that have
+    // lost other particles are no measure.
+    let scene = &a.plan().scene;
+    let loses = scene.world.leaving == Leaving::Delete || (!scene.outflow.is_empty() && scene.levels.count == 1);
+    if !x.keys().eq(y.keys()) && !loses {
         (x, y) = (places(a, true), places(b, true));
     }
     let world = &a.plan().scene.world;
