@@ -489,7 +489,7 @@ impl Giver<'_> {
                 (Some(default), _) => default.clone(),
                 (None, Kind::Table(keys)) => Value::Table(self.resolve(keys, &Table::new(), &at)?),
                 (None, kind) => {
-                    let unit = unit_of(parameter);
+                    let unit = after_number(&parameter.unit);
                     let mend = format!("{} needs it: give {kind}{unit} ({})", self.whose, parameter.doc);
                     return Err((self.fault)(&at, "this key is required".to_owned(), mend));
                 }
@@ -511,7 +511,7 @@ impl Giver<'_> {
                 let si = if degrees { x.to_radians() } else { x };
                 if !range.contains(si) {
                     let deg = if degrees { format!(" deg, that is {si} rad") } else { String::new() };
-                    return fault(format!("is {x}{deg}"), format!("must be in {range}{}", unit_of(of)));
+                    return fault(format!("is {x}{deg}"), format!("must be in {range}{}", after_number(&of.unit)));
                 }
                 Ok(Value::Number(si))
             }
@@ -533,20 +533,23 @@ impl Giver<'_> {
             }
             (Kind::Array { of: entry, count }, Given::Array(items)) => {
                 if !count.contains(&items.len()) {
-                    return fault(format!("has {} entries", items.len()), format!("give {kind}{}", unit_of(of)));
+                    return fault(
+                        format!("has {} entries", items.len()),
+                        format!("give {kind}{}", after_number(&of.unit)),
+                    );
                 }
                 let item = |(i, item)| self.value(of, entry, item, degrees, &format!("{at}[{i}]"));
                 items.iter().enumerate().map(item).collect::<Result<_>>().map(Value::Array)
             }
             (Kind::Table(keys), Given::Table(table)) => self.resolve(keys, table, at).map(Value::Table),
-            _ => fault(format!("is {}", described(given)), format!("give {kind}{}", unit_of(of))),
+            _ => fault(format!("is {}", described(given)), format!("give {kind}{}", after_number(&of.unit))),
         }
     }
 }
 
-/// The unit after a range, if there is one; shares have "1".
-fn unit_of(parameter: &Parameter) -> String {
-    if matches!(parameter.unit.as_str(), "" | "1") { String::new() } else { format!(" {}", parameter.unit) }
+/// A unit as it stands after a number or a range: nothing, if there is none or it is that of shares, "1".
+pub fn after_number(unit: &str) -> String {
+    if matches!(unit, "" | "1") { String::new() } else { format!(" {unit}") }
 }
 
 /// What was given, where another type is wanted.

@@ -1,7 +1,7 @@
 //! `barchan plugins`.
 
 use crate::print::show;
-use barchan::parameter::{Kind, Parameter, Value as Setting};
+use barchan::parameter::{Kind, Parameter, Value as Setting, after_number};
 use barchan::{Material, Registry, Result};
 use clap::Args;
 use serde_json::{Value, json};
@@ -50,7 +50,7 @@ fn as_text(registry: &Registry) -> String {
         text += &format!("      {}\n      {}\n", material.doc, material.reference);
         text.extend(material.parameters.iter().map(as_line));
         for s in &material.states {
-            let value = in_unit(number(s.initial), &s.unit);
+            let value = number(s.initial) + &after_number(&s.unit);
             text += &format!("      {:<21} {value:<15} {:<17} {}\n", s.name, "state", s.doc);
         }
     }
@@ -111,12 +111,7 @@ fn with_unit(p: &Parameter) -> String {
         None if matches!(p.kind, Kind::Table(_)) => String::new(),
         None => "required".to_owned(),
     };
-    in_unit(value, &p.unit)
-}
-
-/// A value and its unit; shares have "1".
-fn in_unit(value: String, unit: &str) -> String {
-    if matches!(unit, "" | "1") { value } else { format!("{value} {unit}").trim_start().to_owned() }
+    (value + &after_number(&p.unit)).trim_start().to_owned()
 }
 
 /// A default with short numbers.

@@ -54,13 +54,11 @@ pub(crate) fn one_seed(given: &Bound<'_, PyAny>) -> PyResult<u64> {
 
 /// A seed for each of so many worlds: a number, from which they count, or each its own.
 pub(crate) fn first_or_each(given: &Bound<'_, PyAny>, worlds: usize) -> PyResult<Vec<u64>> {
-    let each = match given.extract::<Vec<Bound<'_, PyAny>>>() {
-        Ok(several) => several.iter().map(one_seed).collect::<PyResult<Vec<_>>>()?,
-        Err(_) => {
-            let first = one_seed(given)?;
-            return (first..).take(worlds).map(whole_seed).collect();
-        }
+    let Ok(several) = given.extract::<Vec<Bound<'_, PyAny>>>() else {
+        let first = one_seed(given)?;
+        return (first..).take(worlds).map(whole_seed).collect();
     };
+    let each = several.iter().map(one_seed).collect::<PyResult<Vec<_>>>()?;
     if each.len() != worlds {
         return Err(PyValueError::new_err(format!("seeds: there are {} of them for {worlds} worlds", each.len())));
     }
@@ -95,22 +93,22 @@ pub(crate) fn chosen(worlds: Option<&Bound<'_, PyAny>>, count: usize) -> PyResul
     }
 }
 
-/// Points of the ground plan [m], of shape (n, 2).
-pub(crate) fn points_of_plan(points: &Numbers<'_>) -> PyResult<Vec<[f64; 2]>> {
+/// Points [m], of shape (n, N).
+pub(crate) fn points<const N: usize>(points: &Numbers<'_>) -> PyResult<Vec<[f64; N]>> {
     check_finite(points, "points")?;
     match points.as_array().shape() {
-        &[_, 2] => Ok(pairs(points)),
-        shape => Err(PyValueError::new_err(format!("points: their shape is {shape:?}; it should be (n, 2)"))),
+        &[_, along] if along == N => Ok(in_rows(points)),
+        shape => Err(PyValueError::new_err(format!("points: their shape is {shape:?}; it should be (n, {N})"))),
     }
 }
 
-/// The same for each of so many worlds: (n, 2) for all of them, or (worlds, n, 2), each world its own.
+/// Points of the ground plan [m] for each of so many worlds: (n, 2) for all of them, or (worlds, n, 2), each world its own.
 pub(crate) fn points_per_world(points: &Numbers<'_>, worlds: usize) -> PyResult<Vec<Vec<[f64; 2]>>> {
     check_finite(points, "points")?;
     match points.as_array().shape() {
-        &[_, 2] => Ok(vec![pairs(points); worlds]),
+        &[_, 2] => Ok(vec![in_rows(points); worlds]),
         &[of, count, 2] if of == worlds => {
-            let mut all = pairs(points).into_iter();
+            let mut all = in_rows(points).into_iter();
             Ok((0..worlds).map(|_| all.by_ref().take(count).collect()).collect())
         }
         shape => Err(PyValueError::new_err(format!(
@@ -120,7 +118,7 @@ pub(crate) fn points_per_world(points: &Numbers<'_>, worlds: usize) -> PyResult<
 }
 
 /// Is every one a number?
-pub(crate) fn check_finite(given: &Numbers<'_>, what: &str) -> PyResult<()> {
+fn check_finite(given: &Numbers<'_>, what: &str) -> PyResult<()> {
     match given.as_array().indexed_iter().find(|(_, x)| !x.is_finite()) {
         Some((place, x)) => {
             let place = place.slice();
@@ -149,9 +147,10 @@ pub(crate) fn corners<const N: usize>(region: &Numbers<'_>, form: &str) -> PyRes
     Ok([min, max])
 }
 
-/// Numbers two by two.
-fn pairs(points: &Numbers<'_>) -> Vec<[f64; 2]> {
-    points.as_array().iter().copied().collect::<Vec<_>>().chunks_exact(2).map(|xy| [xy[0], xy[1]]).collect()
+/// Numbers in rows of N.
+fn in_rows<const N: usize>(given: &Numbers<'_>) -> Vec<[f64; N]> {
+    let all: Vec<f64> = given.as_array().iter().copied().collect();
+    all.chunks_exact(N).map(|row| std::array::from_fn(|d| row[d])).collect()
 }
 
 /// Rows of a command for so many worlds: one row for all of them, or one for each.

@@ -3,8 +3,8 @@
 use crate::change::Change;
 use crate::errors::{OrRaise, exception, raised, warn};
 use crate::given::{
-    Numbers, axes, blows, check_count, check_finite, check_world, chosen, corners, first_or_each, named, number,
-    per_world, placements, points_of_plan, points_per_world, precision, tell, whole_seed,
+    Numbers, axes, blows, check_count, check_world, chosen, corners, first_or_each, named, number, per_world,
+    placements, points, points_per_world, precision, tell, whole_seed,
 };
 use crate::gradient::{Signals, Tape};
 use crate::machine::{Machine, Shared};
@@ -402,7 +402,7 @@ impl Simulation {
         points: Numbers<'py>,
         #[pyo3(from_py_with = number)] world: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
-        let points = points_of_plan(&points)?;
+        let points = self::points::<2>(&points)?;
         let heights = self.look(py, world, |one| one.heights(&points))?.or_raise(py)?;
         Ok(records::vector(py, heights.into_iter().map(|z| z.unwrap_or(f64::NAN)).collect()))
     }
@@ -439,13 +439,7 @@ impl Simulation {
         level: Option<u32>,
         #[pyo3(from_py_with = number)] world: usize,
     ) -> PyResult<Bound<'py, PyAny>> {
-        check_finite(&points, "points")?;
-        let points = points.as_array();
-        let &[_, 3] = points.shape() else {
-            let shape = points.shape();
-            return Err(PyValueError::new_err(format!("points: their shape is {shape:?}; it should be (n, 3)")));
-        };
-        let points: Vec<[f64; 3]> = points.rows().into_iter().map(|row| [row[0], row[1], row[2]]).collect();
+        let points = self::points::<3>(&points)?;
         let [materials, bodies] = self.look(py, world, |one| {
             let scene = &one.plan().scene;
             let materials = scene.material.iter().map(|one| one.name.clone()).collect::<Vec<_>>();

@@ -157,7 +157,7 @@ class WorldsVectorEnv(VectorEnv):
         if self.autoreset_mode is AutoresetMode.SAME_STEP and ended.any():
             last = np.full(self.num_envs, None, dtype=object)
             for world in np.flatnonzero(ended):
-                last[world] = self.__out(row_of(self.__seen, world))
+                last[world] = self.__out(each_part(lambda row: row.copy(), row_of(self.__seen, world)))
             final = {name: ended.copy() if name.startswith("_") else values.copy() for name, values in info.items()}
             info = {name: values & ~ended if name.startswith("_") else values for name, values in info.items()}
             info |= {"final_obs": last, "_final_obs": ended.copy(), "final_info": final, "_final_info": ended.copy()}
@@ -200,10 +200,7 @@ class WorldsVectorEnv(VectorEnv):
         self.__most[worlds] = self.max_episode_steps
         self.closed = False
         seen = self._begin_worlds(worlds, self.__seeds[worlds].tolist(), options)
-        if isinstance(seen, dict) and isinstance(self.__seen, dict):
-            self.__seen = {name: with_rows(self.__seen[name], worlds, part) for name, part in seen.items()}
-        else:
-            self.__seen = with_rows(self.__seen, worlds, seen)
+        self.__seen = each_part(lambda before, new: with_rows(before, worlds, new), self.__seen, seen)
 
     def __seed_info(self, chosen: NDArray[np.bool_]) -> dict[str, Any]:
         return {"seed": np.where(chosen, self.__seeds, 0), "_seed": chosen.copy()}
@@ -218,14 +215,16 @@ class WorldsVectorEnv(VectorEnv):
         return self.__dict__
 
 
-def each_part(change: Callable[[Any], Any], seen: Any) -> Any:
-    """Changes what is seen, or each of its parts by name."""
-    return {name: change(part) for name, part in seen.items()} if isinstance(seen, dict) else change(seen)
+def each_part(change: Callable[..., Any], seen: Any, *others: Any) -> Any:
+    """Changes what is seen, or each of its parts by name, given those of others that have the same names."""
+    if not isinstance(seen, dict):
+        return change(seen, *others)
+    return {name: change(part, *(other[name] for other in others)) for name, part in seen.items()}
 
 
 def row_of(seen: Any, world: int) -> Any:
-    """A copy of what is seen of one world."""
-    return each_part(lambda part: part[world].copy(), seen)
+    """What is seen of one world."""
+    return each_part(lambda part: part[world], seen)
 
 
 def with_rows(all_rows: Any, worlds: list[int], rows: Any) -> Any:

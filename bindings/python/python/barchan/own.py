@@ -24,8 +24,8 @@ from barchan._vector import (
     check_machine,
     checked_actions,
     checked_seeds,
-    each_part,
     reset_needed,
+    row_of,
 )
 from barchan.errors import BodyError, SimulationError
 
@@ -410,11 +410,11 @@ class OneWorldEnv(gymnasium.Env):
         [seed] = checked_seeds([seed])
         super().reset(seed=seed)
         observations, info = self.vector.reset(seed=seed, options=options)
-        return each_part(lambda part: part[0], observations), _of_one(info)
+        return row_of(observations, 0), _of_one(info)
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         observations, rewards, terminated, truncated, info = self.vector.step(action[None] if hasattr(action, "shape") else np.asarray(action)[None])
-        return each_part(lambda part: part[0], observations), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _of_one(info)
+        return row_of(observations, 0), float(rewards[0]), bool(terminated[0]), bool(truncated[0]), _of_one(info)
 
     def render(self) -> NDArray[np.uint8] | None:
         pictures = self.vector.render()
