@@ -229,20 +229,16 @@ fn push_forward<V: Real>(G: &[V; 9], b: &[V; 6]) -> [V; 6] {
 }
 
 /// Strain (F row by row, or b_e) after a motion by I + G, before the material's update.
+#[inline(always)]
 pub fn deformed<R: Real>(G: &[R; 9], strain: &[R]) -> [R; 9] {
     let mut trial = [R::zero(); 9];
-    match strain.first_chunk::<9>() {
-        Some(F) => {
-            for e in 0..9 {
-                let (i, j) = (e / 3, e % 3);
-                trial[e] = (0..3).fold(F[e], |sum, k| G[3 * i + k].mul_add(F[3 * k + j], sum));
-            }
+    if let Some(F) = strain.first_chunk::<9>() {
+        for (e, trial) in trial.iter_mut().enumerate() {
+            let (i, j) = (e / 3 * 3, e % 3);
+            *trial = G[i + 2].mul_add(F[6 + j], G[i + 1].mul_add(F[3 + j], G[i].mul_add(F[j], F[e])));
         }
-        None => {
-            if let Some(b) = strain.first_chunk::<6>() {
-                trial[..6].copy_from_slice(&push_forward(G, b));
-            }
-        }
+    } else if let Some(b) = strain.first_chunk::<6>() {
+        trial[..6].copy_from_slice(&push_forward(G, b));
     }
     trial
 }

@@ -6,7 +6,6 @@
 //!
 //! Particles are worked on in pieces of a fixed number, some of which share nodes of their own. These are added up in the order of the pieces: sums are the same bits for
 //! any number of threads.
-#![expect(non_snake_case, reason = "symbols follow Hu et al. 2018")]
 
 mod contact;
 mod damping;
@@ -28,8 +27,6 @@ use barchan_grid::archive::{Tiles, edge_of};
 use barchan_grid::block::{self, CELLS};
 use barchan_grid::bounds::Bounds;
 use barchan_grid::limits::{LEAST_MASS, MAX_DEFORMATION};
-use barchan_grid::transfer::adjoint::deformed_back;
-use barchan_grid::transfer::deformed;
 use barchan_lanes::Isa;
 use contact::{Around, Ground, Met};
 use damping::Seen;
@@ -37,7 +34,7 @@ use nodes::{Nodes, Values};
 use rayon::ThreadPool;
 use rayon::prelude::*;
 use rims::{Rim, runs_of};
-use transfer::{Given, Group, take_in};
+use transfer::{Given, Group, Try, TryBack, take_in};
 
 /// Pieces that share nodes: with fewer, more of these are added up than particles touch.
 const PIECES: usize = 16;
@@ -167,13 +164,8 @@ impl CpuAdjoint {
         let mut state: Vec<_> = list.state.iter().map(|plane| piece.plane(plane)).collect();
         let (mut before, mut kirchhoff) = (Vec::new(), [Plane::default(); 6]);
         for _ in 0..step.parts {
-            let mut trial = strain.clone();
-            for i in 0..BATCH {
-                let G = vel_grad.map(|plane| plane.0[i] * dt);
-                let own = values(&strain, i);
-                trial.iter_mut().zip(deformed(&G, &own[..strain.len()])).for_each(|(plane, value)| plane.0[i] = value);
-            }
-            before.push([strain.clone(), trial.clone(), state.clone()]);
+            let trial = self.isa.run(Try { dt, vel_grad: &vel_grad, strain: &strain });
+            before.push([strain.clone(), trial, state.clone()]);
             let [_, trial, old] = &before[before.len() - 1];
             let matter = Matter { count: piece.count, parameters: &planned.parameters, strain: trial, state: old };
             let motion = Motion { dt, vel_grad: &vel_grad };
@@ -284,15 +276,10 @@ impl CpuAdjoint {
             for (of_trial, damped) in of_trial.iter_mut().zip(by_damping.take().into_iter().flatten()) {
                 of_trial.0.iter_mut().zip(damped.0).for_each(|(sum, owed)| *sum += owed);
             }
+            let tried = Try { dt, vel_grad: &vel_grad, strain: before };
+            strain = self.isa.run(TryBack { given: tried, of_trial: &of_trial, of_rates: &mut of_rates });
             for (i, affine) in given.affine.iter_mut().enumerate() {
-                let G = vel_grad.map(|plane| plane.0[i] * dt);
-                let (own, owed) = (values(before, i), values(&of_trial, i));
-                let mut of_G = [0.0; 9];
-                let of_strain = deformed_back(&G, &own[..planes], &owed[..planes], &mut of_G);
-                for c in 0..9 {
-                    affine[c] += dt * of_G[c] + of_rates[c].0[i];
-                }
-                strain.iter_mut().zip(of_strain).for_each(|(plane, value)| plane.0[i] = value);
+                (0..9).for_each(|c| affine[c] += of_rates[c].0[i]);
             }
             state = of_state;
             // Only the last part's stress acts.

@@ -1,7 +1,7 @@
 //! Derivatives of a law, backwards: from cotangents of what an update gives to those of what it is given.
 //!
-//! Laws are written for all numbers, dual ones among them ([`barchan_lanes::Dual`]). A batch is updated once for each value of strain, rate, history and
-//! parameter that may vary, with that value's derivative 1, and what comes out is weighed with the cotangents. A particle has 13 to 21 of them.
+//! Laws are written for all numbers, dual ones among them ([`barchan_lanes::Dual`]). A batch is updated once for every few values of strain, rate, history and
+//! parameter that may vary, each with its own derivative 1, and what comes out is weighed with the cotangents. A particle has 8 to 21 of them.
 
 use crate::batch::{Batch, Failure, guard, open};
 use crate::declare::Param;
@@ -18,6 +18,9 @@ const MOST_VALUES: usize = 9 + 9 + MAX_STATE + MAX_PARAMS;
 const RATES: usize = 9;
 const STATES: usize = RATES + 9;
 const PARAMS: usize = STATES + MAX_STATE;
+
+/// How many values vary at a time: what of an update does not vary is worked out once for them.
+const TOGETHER: usize = 4;
 
 /// The walk over a batch. Returns the first particle with a derivative that is not finite.
 struct PullBack<'a, M> {
@@ -50,17 +53,30 @@ unsafe fn load<V: Lanes<Scalar = f64>>(plane: *const f64, start: usize, count: u
         // SAFETY: the caller vouches for the plane, and i is cut at the last particle.
         *to = unsafe { plane.add(start + i.min(count - 1)).read() };
     }
-    // SAFETY: there is a value for each lane.
-    unsafe { V::load(padded.as_ptr()) }
+    V::read(&padded)
 }
 
-/// Values lane by lane.
+/// Values of which the first has a number, the next one more, and so on: those vary whose numbers are among `together`.
 #[inline(always)]
-fn lanes<V: Lanes<Scalar = f64>>(values: V) -> [f64; CHUNK] {
-    let mut lanes = [0.0; CHUNK];
-    // SAFETY: a chunk has room for all lanes.
-    unsafe { values.store(lanes.as_mut_ptr()) };
-    lanes
+fn vary<V: Lanes>(at: &[V], first: usize, together: &[usize; TOGETHER], values: &mut [Dual<V, TOGETHER>]) {
+    for (number, (value, at)) in (first..).zip(values.iter_mut().zip(at)) {
+        *value = Dual::fixed(*at);
+        for (derivative, varies) in value.derivatives.iter_mut().zip(together) {
+            if *varies == number {
+                *derivative = V::one();
+            }
+        }
+    }
+}
+
+/// Adds what cotangents make of the derivatives of some values.
+#[inline(always)]
+fn weigh<V: Lanes>(cotangents: &[V], values: &[Dual<V, TOGETHER>], sums: &mut [V; TOGETHER]) {
+    for (cotangent, value) in cotangents.iter().zip(values) {
+        for (sum, derivative) in sums.iter_mut().zip(&value.derivatives) {
+            *sum = cotangent.mul_add(*derivative, *sum);
+        }
+    }
 }
 
 impl<M: Material> Kernel<f64> for PullBack<'_, M> {
@@ -101,52 +117,53 @@ impl<M: Material> Kernel<f64> for PullBack<'_, M> {
                 }
             }
             let mut sound = V::Mask::splat(true);
-            for value in Self::values() {
-                let mut x = [Dual::fixed(V::zero()); MOST_VALUES];
-                for (x, at) in x.iter_mut().zip(at) {
-                    *x = Dual::fixed(at);
+            let mut values = Self::values();
+            loop {
+                let mut together = [MOST_VALUES; TOGETHER];
+                let found = together.iter_mut().zip(&mut values).map(|(to, value)| *to = value).count();
+                if found == 0 {
+                    break;
                 }
-                x[value].derivative = V::one();
-                let law = M::law::<Dual<V>>(&x[PARAMS..PARAMS + M::PARAMS.len()]);
+                let mut params = [Dual::fixed(V::zero()); MAX_PARAMS];
                 let mut planes_of_strain = [Dual::fixed(V::zero()); 9];
-                planes_of_strain.copy_from_slice(&x[..9]);
                 let mut rates = [Dual::fixed(V::zero()); 9];
-                rates.copy_from_slice(&x[RATES..RATES + 9]);
+                let mut history = [Dual::fixed(V::zero()); MAX_STATE];
+                vary(&at[PARAMS..][..M::PARAMS.len()], PARAMS, &together, &mut params);
+                vary(&at[..planes], 0, &together, &mut planes_of_strain);
+                vary(&at[RATES..][..if has_rates { 9 } else { 0 }], RATES, &together, &mut rates);
+                vary(&at[STATES..][..states], STATES, &together, &mut history);
+                let law = M::law(&params[..M::PARAMS.len()]);
                 let given = MatIn {
                     strain: M::Strain::from_planes(planes_of_strain),
                     vel_grad: Mat3::from_components(rates),
                     dt: Dual::fixed(V::fill(dt)),
                 };
-                let mut history = [Dual::fixed(V::zero()); MAX_STATE];
-                history.copy_from_slice(&x[STATES..STATES + MAX_STATE]);
-                let out = M::update::<Dual<V>>(&law, given, &mut history[..states]);
-                let mut sum = V::zero();
-                for (cotangent, value) in strain.iter().zip(out.strain.into_planes()).take(planes) {
-                    sum = cotangent.mul_add(value.derivative, sum);
-                }
-                for (cotangent, value) in kirchhoff.iter().zip(out.kirchhoff.components()) {
-                    sum = cotangent.mul_add(value.derivative, sum);
-                }
-                for (cotangent, value) in state.iter().zip(history).take(states) {
-                    sum = cotangent.mul_add(value.derivative, sum);
-                }
-                sound = sound & sum.is_finite();
-                let sums = &lanes(sum)[..count];
-                let plane = match value {
-                    PARAMS.. => {
-                        sums.iter().for_each(|sum| self.params[value - PARAMS] += sum);
-                        continue;
+                let out = M::update(&law, given, &mut history[..states]);
+                let mut sums = [V::zero(); TOGETHER];
+                weigh(&strain[..planes], &out.strain.into_planes(), &mut sums);
+                weigh(&kirchhoff, &out.kirchhoff.components(), &mut sums);
+                weigh(&state[..states], &history, &mut sums);
+                for (value, sum) in together[..found].iter().zip(sums) {
+                    sound = sound & sum.is_finite();
+                    let mut lanes = [0.0; CHUNK];
+                    sum.write(&mut lanes);
+                    let sums = &lanes[..count];
+                    let plane = match *value {
+                        value @ PARAMS.. => {
+                            sums.iter().for_each(|sum| self.params[value - PARAMS] += sum);
+                            continue;
+                        }
+                        // SAFETY: planes are within what the host vouches for.
+                        value @ STATES.. => unsafe { self.adjoint.adj_state_in.add((value - STATES) * stride) },
+                        // SAFETY: as above.
+                        value @ RATES.. => unsafe { self.adjoint.adj_vel_grad.add((value - RATES) * stride) },
+                        // SAFETY: as above.
+                        value => unsafe { self.adjoint.adj_strain_trial.add(value * stride) },
+                    };
+                    for (i, sum) in sums.iter().enumerate() {
+                        // SAFETY: as above.
+                        unsafe { *plane.add(start + i) += sum };
                     }
-                    // SAFETY: planes are within what the host vouches for.
-                    STATES.. => unsafe { self.adjoint.adj_state_in.add((value - STATES) * stride) },
-                    // SAFETY: as above.
-                    RATES.. => unsafe { self.adjoint.adj_vel_grad.add((value - RATES) * stride) },
-                    // SAFETY: as above.
-                    _ => unsafe { self.adjoint.adj_strain_trial.add(value * stride) },
-                };
-                for (i, sum) in sums.iter().enumerate() {
-                    // SAFETY: as above.
-                    unsafe { *plane.add(start + i) += sum };
                 }
             }
             let bad = !sound.bits() & (u16::MAX >> (u16::BITS as usize - count));

@@ -107,8 +107,11 @@ impl<T: Real> Eigen<T> {
         if !T::VARIES {
             return Self::new([xx, yy, zz], vectors);
         }
-        let seen = |i: usize, j: usize| seen_by(a, vectors[i], vectors[j]);
-        Self { values: [seen(0, 0), seen(1, 1), seen(2, 2)], vectors, off: PAIRS.map(|(i, j)| seen(i, j)) }
+        Self {
+            values: [seen_by(a, u0, u0), seen_by(a, u1, u1), seen_by(a, u2, u2)],
+            vectors,
+            off: [seen_by(a, u0, u1), seen_by(a, u0, u2), seen_by(a, u1, u2)],
+        }
     }
 
     /// The tensor with these eigenvectors and the eigenvalues `values`, which are those of a function of the tensor; `slopes` are that function's derivatives
@@ -150,17 +153,7 @@ impl<T: Real> Eigen<T> {
     fn between(&self, off: [T; 3]) -> SymMat3<T> {
         let mut sum = SymMat3::scalar(T::zero());
         for (off, (i, j)) in off.into_iter().zip(PAIRS) {
-            let (u, v) = (self.vectors[i], self.vectors[j]);
-            let both = |a: usize, b: usize| off * u[a].mul_add(v[b], u[b] * v[a]);
-            sum = sum
-                + SymMat3 {
-                    xx: both(0, 0),
-                    yy: both(1, 1),
-                    zz: both(2, 2),
-                    xy: both(0, 1),
-                    xz: both(0, 2),
-                    yz: both(1, 2),
-                };
+            sum = sum + both(self.vectors[i], self.vectors[j]).scale(off);
         }
         sum
     }
@@ -183,10 +176,30 @@ fn seen_by<T: Real>(a: SymMat3<T>, u: [T; 3], v: [T; 3]) -> T {
     sum
 }
 
+/// u vᵀ + v uᵀ.
+#[inline(always)]
+fn both<T: Real>(u: [T; 3], v: [T; 3]) -> SymMat3<T> {
+    SymMat3 {
+        xx: u[0].mul_add(v[0], u[0] * v[0]),
+        yy: u[1].mul_add(v[1], u[1] * v[1]),
+        zz: u[2].mul_add(v[2], u[2] * v[2]),
+        xy: u[0].mul_add(v[1], u[1] * v[0]),
+        xz: u[0].mul_add(v[2], u[2] * v[0]),
+        yz: u[1].mul_add(v[2], u[2] * v[1]),
+    }
+}
+
 /// The tensor without its derivatives.
 #[inline(always)]
 fn constant<T: Real>(a: SymMat3<T>) -> SymMat3<T> {
-    SymMat3::from_components(a.components().map(T::constant))
+    SymMat3 {
+        xx: a.xx.constant(),
+        yy: a.yy.constant(),
+        zz: a.zz.constant(),
+        xy: a.xy.constant(),
+        xz: a.xz.constant(),
+        yz: a.yz.constant(),
+    }
 }
 
 // Helpers are functions, never closures: a closure cannot be told to be inlined always, and one that is not is compiled

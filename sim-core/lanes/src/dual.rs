@@ -1,87 +1,115 @@
-//! Dual numbers: a value and its derivative along one direction.
+//! Dual numbers: a value and its derivatives along some directions.
 
 use crate::Real;
 use core::ops::{Add, AddAssign, Div, Mul, MulAssign, Neg, Sub, SubAssign};
 
-/// `value + epsilon · derivative`, epsilon² = 0. Comparisons and selections look at the value alone, so a derivative
+/// `value + Σ epsilonₖ · derivatives[k]`, where products of epsilons are 0. Comparisons and selections look at the value alone, so a derivative
 /// taken on a kink is the one-sided derivative of the branch that the value takes.
+///
+/// The value is worked out once for all directions.
 #[derive(Clone, Copy, Debug)]
-pub struct Dual<T> {
+pub struct Dual<T, const N: usize> {
     /// The number.
     pub value: T,
-    /// Its derivative along the seeded direction.
-    pub derivative: T,
+    /// Its derivatives, direction by direction.
+    pub derivatives: [T; N],
 }
 
-impl<T: Real> Dual<T> {
-    /// A number with derivative `derivative`.
+impl<T: Real, const N: usize> Dual<T, N> {
+    /// A number with these derivatives.
     #[inline(always)]
-    pub fn new(value: T, derivative: T) -> Self {
-        Self { value, derivative }
+    pub fn new(value: T, derivatives: [T; N]) -> Self {
+        Self { value, derivatives }
     }
     /// A number that does not vary.
     #[inline(always)]
     pub fn fixed(value: T) -> Self {
-        Self { value, derivative: T::zero() }
+        Self { value, derivatives: [T::zero(); N] }
+    }
+    /// Of a function of this number, its value and its slope there.
+    #[inline(always)]
+    fn chain(self, value: T, slope: T) -> Self {
+        let mut result = Self::new(value, self.derivatives);
+        for derivative in &mut result.derivatives {
+            *derivative *= slope;
+        }
+        result
     }
 }
 
-impl<T: Real> Add for Dual<T> {
+// Loops, never closures: a closure cannot be told to be inlined always, and one that is not is compiled without the vector instructions.
+
+impl<T: Real, const N: usize> Add for Dual<T, N> {
     type Output = Self;
     #[inline(always)]
-    fn add(self, o: Self) -> Self {
-        Self::new(self.value + o.value, self.derivative + o.derivative)
+    fn add(mut self, o: Self) -> Self {
+        for (own, other) in self.derivatives.iter_mut().zip(&o.derivatives) {
+            *own += *other;
+        }
+        Self::new(self.value + o.value, self.derivatives)
     }
 }
-impl<T: Real> Sub for Dual<T> {
+impl<T: Real, const N: usize> Sub for Dual<T, N> {
     type Output = Self;
     #[inline(always)]
-    fn sub(self, o: Self) -> Self {
-        Self::new(self.value - o.value, self.derivative - o.derivative)
+    fn sub(mut self, o: Self) -> Self {
+        for (own, other) in self.derivatives.iter_mut().zip(&o.derivatives) {
+            *own -= *other;
+        }
+        Self::new(self.value - o.value, self.derivatives)
     }
 }
-impl<T: Real> Mul for Dual<T> {
+impl<T: Real, const N: usize> Mul for Dual<T, N> {
     type Output = Self;
     #[inline(always)]
-    fn mul(self, o: Self) -> Self {
-        Self::new(self.value * o.value, self.derivative.mul_add(o.value, self.value * o.derivative))
+    fn mul(mut self, o: Self) -> Self {
+        for (own, other) in self.derivatives.iter_mut().zip(&o.derivatives) {
+            *own = own.mul_add(o.value, self.value * *other);
+        }
+        Self::new(self.value * o.value, self.derivatives)
     }
 }
-impl<T: Real> Div for Dual<T> {
+impl<T: Real, const N: usize> Div for Dual<T, N> {
     type Output = Self;
     #[inline(always)]
-    fn div(self, o: Self) -> Self {
-        let quotient = self.value / o.value;
-        Self::new(quotient, (self.derivative - quotient * o.derivative) / o.value)
+    fn div(mut self, o: Self) -> Self {
+        let (quotient, part) = (self.value / o.value, o.value.recip());
+        for (own, other) in self.derivatives.iter_mut().zip(&o.derivatives) {
+            *own = (*own - quotient * *other) * part;
+        }
+        Self::new(quotient, self.derivatives)
     }
 }
-impl<T: Real> Neg for Dual<T> {
+impl<T: Real, const N: usize> Neg for Dual<T, N> {
     type Output = Self;
     #[inline(always)]
-    fn neg(self) -> Self {
-        Self::new(-self.value, -self.derivative)
+    fn neg(mut self) -> Self {
+        for derivative in &mut self.derivatives {
+            *derivative = -*derivative;
+        }
+        Self::new(-self.value, self.derivatives)
     }
 }
-impl<T: Real> AddAssign for Dual<T> {
+impl<T: Real, const N: usize> AddAssign for Dual<T, N> {
     #[inline(always)]
     fn add_assign(&mut self, o: Self) {
         *self = *self + o;
     }
 }
-impl<T: Real> SubAssign for Dual<T> {
+impl<T: Real, const N: usize> SubAssign for Dual<T, N> {
     #[inline(always)]
     fn sub_assign(&mut self, o: Self) {
         *self = *self - o;
     }
 }
-impl<T: Real> MulAssign for Dual<T> {
+impl<T: Real, const N: usize> MulAssign for Dual<T, N> {
     #[inline(always)]
     fn mul_assign(&mut self, o: Self) {
         *self = *self * o;
     }
 }
 
-impl<T: Real> Real for Dual<T> {
+impl<T: Real, const N: usize> Real for Dual<T, N> {
     type Mask = T::Mask;
     const EPSILON: f64 = T::EPSILON;
     const TINY: f64 = T::TINY;
@@ -97,11 +125,11 @@ impl<T: Real> Real for Dual<T> {
         Self::fixed(T::splat(x))
     }
     #[inline(always)]
-    fn mul_add(self, a: Self, b: Self) -> Self {
-        Self::new(
-            self.value.mul_add(a.value, b.value),
-            self.derivative.mul_add(a.value, self.value.mul_add(a.derivative, b.derivative)),
-        )
+    fn mul_add(mut self, a: Self, b: Self) -> Self {
+        for (own, (by, plus)) in self.derivatives.iter_mut().zip(a.derivatives.iter().zip(&b.derivatives)) {
+            *own = own.mul_add(a.value, self.value.mul_add(*by, *plus));
+        }
+        Self::new(self.value.mul_add(a.value, b.value), self.derivatives)
     }
     /// The derivative of the root at 0 is taken as 0.
     #[inline(always)]
@@ -109,7 +137,7 @@ impl<T: Real> Real for Dual<T> {
         let root = self.value.sqrt();
         let positive = root.gt(T::zero());
         let slope = T::select(positive, T::splat(0.5) / T::select(positive, root, T::one()), T::zero());
-        Self::new(root, slope * self.derivative)
+        self.chain(root, slope)
     }
     #[inline(always)]
     fn abs(self) -> Self {
@@ -132,18 +160,27 @@ impl<T: Real> Real for Dual<T> {
         self.value.le(o.value)
     }
     #[inline(always)]
-    fn select(mask: T::Mask, a: Self, b: Self) -> Self {
-        Self::new(T::select(mask, a.value, b.value), T::select(mask, a.derivative, b.derivative))
+    fn select(mask: T::Mask, mut a: Self, b: Self) -> Self {
+        for (own, other) in a.derivatives.iter_mut().zip(&b.derivatives) {
+            *own = T::select(mask, *own, *other);
+        }
+        Self::new(T::select(mask, a.value, b.value), a.derivatives)
     }
     #[inline(always)]
-    fn split_exponent(self) -> (Self, Self) {
+    fn split_exponent(mut self) -> (Self, Self) {
         let (m, e) = self.value.split_exponent();
         // The exponent is a constant between powers of two, so the mantissa takes all of the derivative.
-        (Self::new(m, self.derivative.scale_exponent(-e)), Self::fixed(e))
+        for derivative in &mut self.derivatives {
+            *derivative = derivative.scale_exponent(-e);
+        }
+        (Self::new(m, self.derivatives), Self::fixed(e))
     }
     #[inline(always)]
-    fn scale_exponent(self, k: Self) -> Self {
-        Self::new(self.value.scale_exponent(k.value), self.derivative.scale_exponent(k.value))
+    fn scale_exponent(mut self, k: Self) -> Self {
+        for derivative in &mut self.derivatives {
+            *derivative = derivative.scale_exponent(k.value);
+        }
+        Self::new(self.value.scale_exponent(k.value), self.derivatives)
     }
     #[inline(always)]
     fn round(self) -> Self {
@@ -155,11 +192,11 @@ impl<T: Real> Real for Dual<T> {
     }
     #[inline(always)]
     fn ln(self) -> Self {
-        Self::new(self.value.ln(), self.derivative / self.value)
+        self.chain(self.value.ln(), self.value.recip())
     }
     #[inline(always)]
     fn exp(self) -> Self {
         let e = self.value.exp();
-        Self::new(e, e * self.derivative)
+        self.chain(e, e)
     }
 }

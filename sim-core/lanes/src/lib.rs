@@ -269,6 +269,24 @@ pub trait Lanes: Real + Row {
     /// `rows` must be valid for reading 16 scalars of each of [`Row::NODES`] rows; the zeros may be missing where
     /// [`Lanes::Near`] is no longer than three nodes.
     unsafe fn fold(rows: *const Self::Scalar, stride: usize) -> (Self, Self);
+    /// Reads a scalar for each lane from the beginning of `from`.
+    ///
+    /// # Panics
+    /// If there are fewer.
+    #[inline(always)]
+    fn read(from: &[Self::Scalar]) -> Self {
+        // SAFETY: there is a scalar for each lane.
+        unsafe { Self::load(from[..Self::COUNT].as_ptr()) }
+    }
+    /// Writes the scalar of each lane to the beginning of `to`.
+    ///
+    /// # Panics
+    /// If there is no room for them.
+    #[inline(always)]
+    fn write(self, to: &mut [Self::Scalar]) {
+        // SAFETY: there is room for the scalar of each lane.
+        unsafe { self.store(to[..Self::COUNT].as_mut_ptr()) }
+    }
     /// The last lane of each group of four, in all lanes of the group.
     fn fourth(self) -> Self;
     /// Transposes within each group of four lanes: lane 4 g + c of row k and lane 4 g + k of row c change places.

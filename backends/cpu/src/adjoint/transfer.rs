@@ -1,17 +1,15 @@
-//! The transfers of a step forwards and backwards, cell by cell: particles of one cell share nodes.
-//!
-//! Nothing here fuses a product with a sum, so that bits are the same on every instruction set.
+//! The transfers of a step forwards and backwards, cell by cell: particles of one cell share nodes, and as many as there are lanes are worked on together.
 
 use super::nodes::{Nodes, Values};
 use super::{CpuAdjoint, Deformed, Order, Piece, Step};
 use barchan_core::account::BATCH;
 use barchan_core::batch::Plane;
 use barchan_core::gradient::{Gradient, MOST_STATES};
-use barchan_core::{ParticleList, Result, Vec3};
+use barchan_core::{Result, Vec3};
 use barchan_grid::block::{self, CELLS};
-use barchan_grid::transfer::ENTRIES;
-use barchan_grid::transfer::adjoint::{AROUND, Affine, Stencil, Tile};
-use barchan_lanes::{Kernel, Lanes};
+use barchan_grid::transfer::adjoint::{AROUND, Affine, Stencil, Tile, deformed_back, sum_lanes};
+use barchan_grid::transfer::{ENTRIES, deformed};
+use barchan_lanes::{CHUNK, Kernel, Lanes, tabulate};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -21,34 +19,44 @@ pub(super) struct Spot {
     particles: Range<usize>,
     /// Numbers of the nodes, z fastest, walls and joined ends seen to.
     nodes: [u32; AROUND],
-    /// Which directions a wall mirrors there, a bit each.
+    /// Which directions a wall mirrors there, a bit each, and is there any?
     flipped: [u8; AROUND],
+    flips: bool,
 }
 
 impl Spot {
     /// What a node holds as the wall shows it, or what it is given through the wall.
     #[inline(always)]
-    fn mirrored(&self, n: usize, [x, y, z, other]: [f64; 4]) -> [f64; 4] {
-        let sign = |bit: u8| if self.flipped[n] >> bit & 1 == 1 { -1.0 } else { 1.0 };
-        [sign(0) * x, sign(1) * y, sign(2) * z, other]
+    fn mirror(&self, tile: &mut Tile<f64>) {
+        if self.flips {
+            for (node, flipped) in tile.iter_mut().zip(self.flipped) {
+                for (d, value) in node[..3].iter_mut().enumerate() {
+                    *value = if flipped >> d & 1 == 1 { -*value } else { *value };
+                }
+            }
+        }
     }
 
     /// What nodes hold, whose blocks have other numbers there.
     #[inline(always)]
-    fn tile(&self, nodes: &Nodes, blocks: &[usize]) -> Tile {
-        std::array::from_fn(|n| {
-            let node = self.nodes[n] as usize;
-            self.mirrored(n, nodes.values[blocks[node / CELLS]][node % CELLS])
-        })
+    fn tile(&self, nodes: &Nodes, blocks: &[usize]) -> Tile<f64> {
+        let mut tile = [[0.0; 4]; AROUND];
+        for (held, node) in tile.iter_mut().zip(self.nodes) {
+            *held = nodes.values[blocks[node as usize / CELLS]][node as usize % CELLS];
+        }
+        self.mirror(&mut tile);
+        tile
     }
 
     /// Adds to nodes.
     #[inline(always)]
-    fn give(&self, tile: &Tile, nodes: &mut Values) {
-        for (n, given) in tile.iter().enumerate() {
-            let node = self.nodes[n] as usize;
-            let sums = nodes[node / CELLS][node % CELLS].iter_mut();
-            sums.zip(self.mirrored(n, *given)).for_each(|(sum, given)| *sum += given);
+    fn give(&self, mut tile: Tile<f64>, nodes: &mut Values) {
+        self.mirror(&mut tile);
+        for (given, node) in tile.iter().zip(self.nodes) {
+            let sums = &mut nodes[node as usize / CELLS][node as usize % CELLS];
+            for c in 0..4 {
+                sums[c] += given[c];
+            }
         }
     }
 }
@@ -77,16 +85,59 @@ pub(super) struct Given {
     pub(super) gravity: Vec3,
 }
 
-/// The momentum that a particle gives, and by how much it grows a cell: m (v + dt g), and m h C − 4 dt V τ / h.
+/// Numbers of up to as many particles as there are lanes, 0 in those that are left.
 #[inline(always)]
-fn momentum(list: &ParticleList, p: usize, tau: [f64; 6], step: &Step) -> Affine {
-    let h = list.cell_width;
-    let [m, stress] = [list.mass[p], -4.0 * step.dt / h * list.volume0[p]];
-    let [xx, yy, zz, xy, xz, yz] = tau;
-    let full = [xx, xy, xz, xy, yy, yz, xz, yz, zz];
-    Affine {
-        at: std::array::from_fn(|d| m * (list.velocity[p][d] + step.dt * step.gravity[d])),
-        rows: std::array::from_fn(|e| m * h * list.affine[p][e] + stress * full[e]),
+fn lanes<V: Lanes<Scalar = f64>, const N: usize>(count: usize, of: impl Fn(usize) -> [f64; N]) -> [V; N] {
+    let mut planes = [[0.0; CHUNK]; N];
+    for lane in 0..count {
+        for (plane, value) in planes.iter_mut().zip(of(lane)) {
+            plane[lane] = value;
+        }
+    }
+    tabulate!(N, |c| V::read(&planes[c]))
+}
+
+/// The numbers of some lanes, one after the other.
+#[inline(always)]
+fn each<V: Lanes<Scalar = f64>, const N: usize>(values: &[V; N]) -> impl Iterator<Item = [f64; N]> {
+    let mut planes = [[0.0; CHUNK]; N];
+    for (plane, value) in planes.iter_mut().zip(values) {
+        value.write(plane);
+    }
+    (0..V::COUNT).map(move |lane| {
+        let mut own = [0.0; N];
+        own.iter_mut().zip(&planes).for_each(|(own, plane)| *own = plane[lane]);
+        own
+    })
+}
+
+/// What some particles of a spot give to nodes.
+struct Gives<V> {
+    stencil: Stencil<V>,
+    mass: V,
+    /// Momentum, and by how much it grows a cell: m (v + dt g), and m h C − 4 dt V τ / h.
+    momentum: Affine<V>,
+    /// −4 dt V / h.
+    by_stress: V,
+}
+
+impl<V: Lanes<Scalar = f64>> Gives<V> {
+    /// Of so many particles from place `i` of a piece on.
+    #[inline(always)]
+    fn of(piece: &Piece<'_>, forward: &Forward, step: &Step, i: usize, count: usize) -> Self {
+        let (list, p) = (piece.list, piece.first + i);
+        let h = list.cell_width;
+        let [mass, volume]: [V; 2] = lanes(count, |k| [list.mass[p + k], list.volume0[p + k]]);
+        let velocity: [V; 3] = lanes(count, |k| list.velocity[p + k]);
+        let affine: [V; 9] = lanes(count, |k| list.affine[p + k]);
+        let [xx, yy, zz, xy, xz, yz]: [V; 6] = lanes(count, |k| forward.deformed.stress(i + k));
+        let stress: [V; 9] = [xx, xy, xz, xy, yy, yz, xz, yz, zz];
+        let (by_stress, by_affine) = (volume * V::fill(-4.0 * step.dt / h), mass * V::fill(h));
+        let momentum = Affine {
+            at: tabulate!(3, |d| mass * (velocity[d] + V::fill(step.dt * step.gravity[d]))),
+            rows: tabulate!(9, |e| by_affine.mul_add(affine[e], by_stress * stress[e])),
+        };
+        Self { stencil: Stencil::new(lanes(count, |k| list.offset[p + k]), h), mass, momentum, by_stress }
     }
 }
 
@@ -103,15 +154,15 @@ impl Kernel<f64> for Give<'_> {
 
     #[inline(always)]
     fn run<V: Lanes<Scalar = f64>>(self) {
-        let Self { piece: Piece { list, first, .. }, forward, step, nodes } = self;
+        let Self { piece, forward, step, nodes } = self;
         for spot in &forward.spots {
-            let mut tile = [[0.0; 4]; AROUND];
-            for i in spot.particles.clone() {
-                let p = first + i;
-                let gives = momentum(list, p, forward.deformed.stress(i), step);
-                Stencil::new(list.offset[p], list.cell_width).scatter(&gives, list.mass[p], &mut tile);
+            let mut tile = [[V::zero(); 4]; AROUND];
+            for i in spot.particles.clone().step_by(V::COUNT) {
+                let count = (spot.particles.end - i).min(V::COUNT);
+                let gives = Gives::<V>::of(piece, forward, step, i, count);
+                gives.stencil.scatter(&gives.momentum, gives.mass, &mut tile);
             }
-            spot.give(&tile, nodes);
+            spot.give(sum_lanes(&tile), nodes);
         }
     }
 }
@@ -135,18 +186,22 @@ impl Kernel<f64> for Read<'_> {
         let (list, after) = (piece.list, &gradient.particles);
         let mut back = Vec::with_capacity(piece.count);
         for spot in spots {
-            let (seen, mut given) = (spot.tile(velocities.0, velocities.1), [[0.0; 4]; AROUND]);
-            for i in spot.particles.clone() {
-                let number = piece.number[i] as usize;
-                let position = after.position[number];
+            let (seen, mut given) = (spot.tile(velocities.0, velocities.1), [[V::zero(); 4]; AROUND]);
+            for i in spot.particles.clone().step_by(V::COUNT) {
+                let count = (spot.particles.end - i).min(V::COUNT);
+                let numbers = &piece.number[i..][..count];
+                let position: [V; 3] = lanes(count, |k| after.position[numbers[k] as usize]);
+                let velocity: [V; 3] = lanes(count, |k| after.velocity[numbers[k] as usize]);
                 // What the new velocity does to the loss by itself, and by the move.
-                let at = std::array::from_fn(|d| after.velocity[number][d] + dt * position[d]);
-                let cotangent = Affine { at, rows: after.affine[number] };
-                let stencil = Stencil::new(list.offset[piece.first + i], list.cell_width);
+                let cotangent = Affine {
+                    at: tabulate!(3, |d| V::fill(dt).mul_add(position[d], velocity[d])),
+                    rows: lanes(count, |k| after.affine[numbers[k] as usize]),
+                };
+                let stencil = Stencil::new(lanes(count, |k| list.offset[piece.first + i + k]), list.cell_width);
                 let moved = stencil.gather_back(list.cell_width, &cotangent, &seen, &mut given);
-                back.push(std::array::from_fn(|d| position[d] + moved[d]));
+                back.extend(each(&tabulate!(3, |d| position[d] + moved[d])).take(count));
             }
-            spot.give(&given, owed);
+            spot.give(sum_lanes(&given), owed);
         }
         back
     }
@@ -166,29 +221,104 @@ impl Kernel<f64> for GiveBack<'_> {
 
     #[inline(always)]
     fn run<V: Lanes<Scalar = f64>>(self) -> [Plane<f64, BATCH>; 6] {
-        let Self { piece: Piece { list, first, .. }, forward, owed, step, given } = self;
-        let h = list.cell_width;
-        let mut kirchhoff = [Plane::default(); 6];
+        let Self { piece, forward, owed, step, given } = self;
+        let h = piece.list.cell_width;
+        let (mut kirchhoff, mut gravity) = ([Plane::default(); 6], [V::zero(); 3]);
         for spot in &forward.spots {
             let tile = spot.tile(owed.0, owed.1);
-            for i in spot.particles.clone() {
-                let p = first + i;
-                let (mass, gave) = (list.mass[p], momentum(list, p, forward.deformed.stress(i), step));
-                let (of, moved) = Stencil::new(list.offset[p], h).scatter_back(h, &gave, mass, &tile);
-                for d in 0..3 {
-                    given.position[i][d] += moved[d];
-                    given.gravity[d] += mass * step.dt * step.grown * of.at[d];
+            for i in spot.particles.clone().step_by(V::COUNT) {
+                let count = (spot.particles.end - i).min(V::COUNT);
+                let Gives { stencil, mass, momentum, by_stress } = Gives::<V>::of(piece, forward, step, i, count);
+                let (of, moved) = stencil.scatter_back(h, &momentum, mass, &tile);
+                let of_velocity: [V; 3] = tabulate!(3, |d| mass * of.at[d]);
+                let of_affine: [V; 9] = tabulate!(9, |e| mass * V::fill(h) * of.rows[e]);
+                let of_stress: [V; 6] = tabulate!(6, |c| {
+                    let (row, column) = ENTRIES[c];
+                    let one = of.rows[3 * row + column];
+                    by_stress * if row == column { one } else { one + of.rows[3 * column + row] }
+                });
+                for (sum, own) in gravity.iter_mut().zip(of_velocity) {
+                    *sum += own;
                 }
-                given.velocity.push(of.at.map(|v| mass * v));
-                given.affine.push(of.rows.map(|a| mass * h * a));
-                let stress = -4.0 * step.dt / h * list.volume0[p];
-                for (plane, (row, column)) in kirchhoff.iter_mut().zip(ENTRIES) {
-                    let other = if row == column { 0.0 } else { of.rows[3 * column + row] };
-                    plane.0[i] = stress * (of.rows[3 * row + column] + other);
+                given.velocity.extend(each(&of_velocity).take(count));
+                given.affine.extend(each(&of_affine).take(count));
+                for (position, moved) in given.position[i..][..count].iter_mut().zip(each(&moved)) {
+                    (0..3).for_each(|d| position[d] += moved[d]);
+                }
+                for (k, stress) in (i..i + count).zip(each(&of_stress)) {
+                    kirchhoff.iter_mut().zip(stress).for_each(|(plane, stress)| plane.0[k] = stress);
                 }
             }
         }
+        for (sum, own) in given.gravity.iter_mut().zip(gravity) {
+            *sum += step.dt * step.grown * own.sum();
+        }
         kirchhoff
+    }
+}
+
+/// Trial strain of a piece: what G = dt C makes of its strain.
+pub(super) struct Try<'a> {
+    pub(super) dt: f64,
+    pub(super) vel_grad: &'a [Plane<f64, BATCH>; 9],
+    pub(super) strain: &'a [Plane<f64, BATCH>],
+}
+
+/// As many values of planes as there are lanes, from place `i` on.
+#[inline(always)]
+fn at<V: Lanes<Scalar = f64>>(planes: &[Plane<f64, BATCH>], i: usize) -> [V; 9] {
+    let mut values = [V::zero(); 9];
+    for (value, plane) in values.iter_mut().zip(planes) {
+        *value = V::read(&plane.0[i..]);
+    }
+    values
+}
+
+/// The reverse of [`at`].
+#[inline(always)]
+fn put<V: Lanes<Scalar = f64>>(values: &[V; 9], planes: &mut [Plane<f64, BATCH>], i: usize) {
+    for (value, plane) in values.iter().zip(planes) {
+        value.write(&mut plane.0[i..]);
+    }
+}
+
+impl Kernel<f64> for Try<'_> {
+    type Output = Vec<Plane<f64, BATCH>>;
+
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = f64>>(self) -> Self::Output {
+        let (planes, mut trial) = (self.strain.len(), vec![Plane::default(); self.strain.len()]);
+        for i in (0..BATCH).step_by(V::COUNT) {
+            let (rates, own) = (at::<V>(self.vel_grad, i), at::<V>(self.strain, i));
+            put(&deformed(&tabulate!(9, |c| rates[c] * V::fill(self.dt)), &own[..planes]), &mut trial, i);
+        }
+        trial
+    }
+}
+
+/// The adjoint of [`Try`]: returns what is owed to the strain, and adds to `of_rates`.
+pub(super) struct TryBack<'a> {
+    pub(super) given: Try<'a>,
+    pub(super) of_trial: &'a [Plane<f64, BATCH>],
+    pub(super) of_rates: &'a mut [Plane<f64, BATCH>; 9],
+}
+
+impl Kernel<f64> for TryBack<'_> {
+    type Output = Vec<Plane<f64, BATCH>>;
+
+    #[inline(always)]
+    fn run<V: Lanes<Scalar = f64>>(self) -> Self::Output {
+        let Self { given: Try { dt, vel_grad, strain }, of_trial, of_rates } = self;
+        let (planes, mut of_strain) = (strain.len(), vec![Plane::default(); strain.len()]);
+        for i in (0..BATCH).step_by(V::COUNT) {
+            let (rates, own, owed) = (at::<V>(vel_grad, i), at::<V>(strain, i), at::<V>(of_trial, i));
+            let motion = tabulate!(9, |c| rates[c] * V::fill(dt));
+            let mut of_motion = [V::zero(); 9];
+            put(&deformed_back(&motion, &own[..planes], &owed[..planes], &mut of_motion), &mut of_strain, i);
+            let so_far = at::<V>(of_rates, i);
+            put(&tabulate!(9, |c| V::fill(dt).mul_add(of_motion[c], so_far[c])), of_rates, i);
+        }
+        of_strain
     }
 }
 
@@ -210,18 +340,29 @@ impl CpuAdjoint {
             });
             let blocks = along.map(|axis| axis.map(|(cell, _)| cell >> 2));
             if last != Some(blocks) {
-                for (n, number) in numbers.iter_mut().enumerate() {
-                    *number = nodes.block(bounds.wrap([blocks[0][n / 9], blocks[1][n / 3 % 3], blocks[2][n % 3]]));
+                // Where along an axis the block of a node comes first: few of them are not the same.
+                let first = blocks.map(|axis| axis.map(|block| axis.iter().position(|other| *other == block)));
+                for n in 0..AROUND {
+                    let at = [n / 9, n / 3 % 3, n % 3];
+                    let same = (0..3).fold(0, |number, d| 3 * number + first[d][at[d]].unwrap_or(at[d]));
+                    numbers[n] = if same < n {
+                        numbers[same]
+                    } else {
+                        nodes.block(bounds.wrap([blocks[0][at[0]], blocks[1][at[1]], blocks[2][at[2]]]))
+                    };
                 }
                 last = Some(blocks);
             }
             let end = start + same.len();
-            let mut spot = Spot { particles: start..end, nodes: [0; AROUND], flipped: [0; AROUND] };
+            let flips = along.iter().flatten().any(|(_, flipped)| flipped.contains(&true));
+            let mut spot = Spot { particles: start..end, nodes: [0; AROUND], flipped: [0; AROUND], flips };
             for n in 0..AROUND {
                 let at = [along[0][n / 9], along[1][n / 3 % 3], along[2][n % 3]];
                 spot.nodes[n] = (numbers[n] * CELLS + block::place(at.map(|(cell, _)| cell))) as u32;
-                for (_, flipped) in at {
-                    (0..3).for_each(|d| spot.flipped[n] ^= u8::from(flipped[d]) << d);
+                if spot.flips {
+                    for (_, flipped) in at {
+                        (0..3).for_each(|d| spot.flipped[n] ^= u8::from(flipped[d]) << d);
+                    }
                 }
             }
             spots.push(spot);
