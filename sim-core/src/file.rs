@@ -111,6 +111,19 @@ impl Stamp {
     }
 }
 
+/// The first of some files that holds something else than it did.
+///
+/// # Errors
+/// [`Error::Io`] if one cannot be read.
+pub(crate) fn changed(folder: &Path, then: &[Stamp]) -> Result<Option<PathBuf>> {
+    for stamp in then {
+        if Stamp::of(folder, &stamp.file)? != *stamp {
+            return Ok(Some(folder.join(&stamp.file)));
+        }
+    }
+    Ok(None)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -17,7 +17,7 @@ pub(crate) use particles::{FARTHEST_CELL, PARTICLES};
 
 use crate::backend::Bound;
 use crate::coupling::Aabb;
-use crate::file::Stamp;
+use crate::file::{Stamp, changed};
 use crate::flow::Flows;
 use crate::levels::{Agent, CellBox, Regions, surface_depths, targets};
 use crate::parameter::Parameters;
@@ -285,8 +285,15 @@ impl Plan {
         Ok((plan, particles, couplings))
     }
 
-    /// Its couplings as they are at the start.
+    /// Its couplings as they are at the start. They read their files anew, and these must be what they were.
     pub(crate) fn make_couplings(&self, registry: &Registry) -> Result<Vec<Box<dyn Coupling>>> {
+        if let Some(file) = changed(&self.scene.folder, &self.files)? {
+            return Err(Error::Body {
+                path: file.display().to_string(),
+                what: "this file of the scene has changed since the simulation was made".to_owned(),
+                mend: "put it back as it was to copy the simulation, or make a new one".to_owned(),
+            });
+        }
         Ok(make_couplings(registry, &self.scene)?.made)
     }
 

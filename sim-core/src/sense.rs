@@ -214,7 +214,8 @@ impl Simulation {
 
     /// Height of the surface of the soft ground above or below each point [m]: where, seen from above, particles first fill half of space, taken over a particle's
     /// width to all sides. Single grains in the air are not the ground. Where there is none, that of the world's floor; none if it is open.
-    /// Ground out of `levels.reach` that nothing has changed is where the scene's shapes have it. Tools and robots are not seen. Along periodic axes the ground goes on beyond the sides.
+    /// Ground out of `levels.reach` that nothing has changed is where the scene's shapes have it. Tools and robots are not seen. Beyond the world's sides the ground goes on: along periodic axes as it is at the other end,
+    /// along others as high as beside the side.
     ///
     /// # Errors
     /// [`Error::Device`] if the particles were lost with their device.

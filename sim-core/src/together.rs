@@ -206,7 +206,8 @@ impl Together {
 
     /// Puts a world that goes on from a state in the place of another, scene and all, as [`Simulation::from_state`] makes one.
     fn replace_by(&mut self, world: usize, registry: &Registry, state: &State, options: &Options) -> Result<()> {
-        let (plan, couplings) = state.prepared(registry, find_backend(registry, options)?, options)?;
+        let own = Some(&self.worlds[world].plan().scene);
+        let (plan, couplings) = state.prepared(registry, find_backend(registry, options)?, options, own)?;
         let particles = state.particles_for(&self.backend);
         self.batch.replace(world, NewWorld { plan: &plan, particles, couplings: &couplings })?;
         self.put(world, Arc::unwrap_or_clone(plan), couplings);

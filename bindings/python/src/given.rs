@@ -118,7 +118,7 @@ pub(crate) fn points_per_world(points: &Numbers<'_>, worlds: usize) -> PyResult<
 }
 
 /// Is every one a number?
-fn check_finite(given: &Numbers<'_>, what: &str) -> PyResult<()> {
+pub(crate) fn check_finite(given: &Numbers<'_>, what: &str) -> PyResult<()> {
     match given.as_array().indexed_iter().find(|(_, x)| !x.is_finite()) {
         Some((place, x)) => {
             let place = place.slice();

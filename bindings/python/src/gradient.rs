@@ -1,7 +1,7 @@
 //! Gradients: the classes `Tape` and `Gradient`.
 
 use crate::errors::OrRaise;
-use crate::given::{Numbers, axes, rows};
+use crate::given::{Numbers, axes, check_finite, rows};
 use crate::machine::SLICE;
 use crate::records;
 use barchan::gradient::{BodyCotangents, BodyGradient, Moment, RobotCotangents, RobotGradient};
@@ -50,6 +50,7 @@ pub(crate) struct Tape {
 /// Adds the rows of a cotangent, if there are any.
 fn cotangent(given: Option<&Numbers<'_>>, what: &str, to: &mut [Vec3]) -> PyResult<()> {
     let rows = rows::<3>(given, what, to.len(), "of their numbers")?.unwrap_or_default();
+    given.map_or(Ok(()), |given| check_finite(given, what))?;
     to.iter_mut().zip(rows).for_each(|(to, row)| (0..3).for_each(|d| to[d] += row[d]));
     Ok(())
 }

@@ -394,7 +394,7 @@ impl Simulation {
     /// Heights of the surface of the soft ground at points, float64 of shape (n,) [m]; `points` has the shape (n, 2) [m].
     ///
     /// The surface is where, seen from above, particles first fill half of space. Where there is no ground, it is the world's floor; NaN if that is open. Tools
-    /// and robots are not seen.
+    /// and robots are not seen. Beyond the world's sides it is as high as beside them, or as at the other end of a periodic axis.
     #[pyo3(signature = (points, *, world=0))]
     fn height_scan<'py>(
         &self,

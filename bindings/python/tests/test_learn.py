@@ -1,9 +1,11 @@
 """The extra `learn`: `bash bindings/python/test.sh --learn` installs what it takes and runs these tests. They are left out without it."""
 
 import json
+import re
 import subprocess
 import sys
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -129,3 +131,20 @@ def test_policies_are_learned_from_the_command_line(agent, tmp_path):
     assert len(json.loads((tmp_path / "best.json").read_text())["actions"]) == 10
     assert (tmp_path / "curve.png").stat().st_size > 1000 and (tmp_path / "policy.zip").exists()
     assert list((tmp_path / "tensorboard").rglob("events.out.tfevents.*"))
+
+
+def test_the_example_of_a_network_in_the_documentation_learns():
+    text = (Path(__file__).resolve().parents[3] / "docs" / "gradients.md").read_text()
+    blocks = re.findall(r"```python\n(.*?)```", text, re.DOTALL)
+    [network] = [block for block in blocks if "torch" in block]
+    [pushed] = [block for block in blocks if "def push(" in block]
+    code = pushed + network + """
+with torch.no_grad():
+    ahead, behind = (Push.apply(speeds.detach() + by * torch.tensor([0.0, 1e-4, 0.0]))[:, 0].mean() for by in (1.0, -1.0))
+speeds = speeds.detach().requires_grad_()
+Push.apply(speeds)[:, 0].mean().backward()
+slope = ((ahead - behind) / 2e-4).item()
+assert abs(speeds.grad[1].item() - slope) < 1e-4 * abs(slope), (speeds.grad, slope)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr

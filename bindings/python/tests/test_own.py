@@ -446,6 +446,9 @@ def test_what_a_subclass_returns_is_held_to_its_shapes():
             faulty.step(np.zeros((2, 1)))
     with pytest.raises(TypeError, match="action_space: it is a Dict"):
         SceneVectorEnv(scene(), interval=0.1, max_episode_steps=1, action_space=gymnasium.spaces.Dict(), observation_space=None)
+    nested = gymnasium.spaces.Dict({"feet": gymnasium.spaces.MultiBinary(4)})
+    with pytest.raises(TypeError, match="observation_space: its part 'feet' is a MultiBinary"):
+        SceneVectorEnv(scene(), interval=0.1, max_episode_steps=1, action_space=gymnasium.spaces.Discrete(2), observation_space=nested)
     with pytest.raises(ValueError, match="overrides: give a dict, or a list of 2"):
         Press(2, overrides=[{}])
     with pytest.raises(ValueError, match="interval"):

@@ -569,6 +569,13 @@ def test_states_forks_and_files_go_on_bit_for_bit(press, same, tmp_path):
     again.restore(state)
     again.step(10)
     assert same(simulation, again)
+    # A file's state fits worlds of the same scene, whatever is drawn of them.
+    saved = barchan.Simulation.load(tmp_path / "here.barchan").state()
+    drawn = barchan.Simulation(press, precision="f64", worlds=2, overrides={"output.picture.pixels": 92, "output.picture.view": "perspective", "time.end": 3.0})
+    drawn.restore(saved)
+    drawn.step(10)
+    assert all(same(drawn, simulation, a_world=world) for world in range(2))
+    assert view.View(drawn).draw(drawn, part="ground").shape[1] == 64
     with pytest.raises(barchan.BodyError, match="another scene: world.cell"):
         barchan.Simulation(press, precision="f64", worlds=2, overrides={"world.cell": 0.04}).restore(state)
     with pytest.raises(barchan.FileError, match="missing.barchan"):

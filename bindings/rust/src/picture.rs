@@ -71,6 +71,8 @@ const HEADER: usize = 30;
 const STRIP: usize = 38;
 /// Scale bar and legend need this much.
 const LEAST_WIDTH: usize = 540;
+/// A view in perspective is at least so many pixels wide.
+const LEAST_VIEW: usize = 16;
 const TEXT: f32 = 8.75;
 
 /// Particle spacings that the surface seen from above may be wide, if that is more than the picture's pixels.
@@ -212,7 +214,7 @@ impl View {
         let pixels = scene.output.picture.pixels as usize;
         let across = (pixels.saturating_sub(2 * MARGIN).max(64)) as f64 / (max[0] - min[0]);
         let down = (pixels.saturating_sub(HEADER + 2 * STRIP).max(64)) as f64 / (max[1] - min[1] + max[2] - min[2]);
-        let wide = pixels.max(LEAST_WIDTH) - 2 * MARGIN;
+        let wide = pixels.saturating_sub(2 * MARGIN).max(LEAST_VIEW);
         let stage = Stage::new(simulation, &spots, wide);
         let scale = match &stage {
             Some(_) => (wide as f64 / (max[0] - min[0])).min(CUT_SHARE * wide as f64 / (max[2] - min[2])),

@@ -4,8 +4,9 @@ use super::urdf::Source;
 use super::visual::Visual;
 use crate::motion::Pose;
 use crate::{Refusal, Sdf};
-use barchan_core::scene::{self, CollisionMeshes};
+use barchan_core::scene::{self, CollisionMeshes, fits};
 use glam::{DMat3, DVec3};
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 /// Robots that come with the program: name and URDF.
@@ -178,12 +179,67 @@ impl RobotModel {
         };
         let name = file.display().to_string();
         let folder = file.parent().unwrap_or(folder);
-        Self::read(&Source {
+        let mut model = Self::read(&Source {
             text: &text,
             file: &name,
             folder,
             mends: robot.mend_inertias,
             meshes: &robot.collision_meshes,
-        })
+        })?;
+        model.weigh(&robot.masses)?;
+        Ok(model)
     }
+
+    /// Gives links other masses [kg]; their inertias grow with these.
+    fn weigh(&mut self, masses: &BTreeMap<String, f64>) -> Result<(), Refusal> {
+        // Of the others no inertia is known.
+        let heavy: Vec<usize> = (0..self.links.len()).filter(|&link| self.links[link].mass > 0.0).collect();
+        let names: Vec<&str> = heavy.iter().map(|&link| self.links[link].name.as_str()).collect();
+        let found = by_name(masses, &names, ["link", "link with a mass of its own"])?;
+        for (&link, mass) in heavy.iter().zip(found).filter_map(|(link, mass)| Some((link, mass?))) {
+            let link = &mut self.links[link];
+            if !(mass.is_finite() && mass > 0.0) {
+                let what = format!("masses: {mass} kg is no mass of link '{}'", link.name);
+                return Err(Refusal::new(what, "give finite masses above 0"));
+            }
+            link.inertia *= mass / link.mass;
+            link.mass = mass;
+        }
+        Ok(())
+    }
+}
+
+/// What is given to each of `names`. Whole names count before patterns, and of these those that say more, whatever their order. `kinds` says what is named, and what
+/// may be.
+///
+/// # Errors
+/// If a name or pattern fits none, or two that say as much give one of them different numbers.
+pub(super) fn by_name(
+    given: &BTreeMap<String, f64>,
+    names: &[&str],
+    kinds: [&str; 2],
+) -> Result<Vec<Option<f64>>, Refusal> {
+    let says = |name: &str| (!name.contains('*'), name.chars().filter(|c| *c != '*').count());
+    let mut all: Vec<(&String, f64)> = given.iter().map(|(name, value)| (name, *value)).collect();
+    all.sort_by_key(|(name, _)| says(name));
+    let mut set_by: Vec<Option<(&String, f64)>> = vec![None; names.len()];
+    for (pattern, value) in all {
+        let mut any = false;
+        for (name, set_by) in names.iter().zip(&mut set_by).filter(|(name, _)| fits(pattern, name)) {
+            any = true;
+            if let Some((other, before)) = set_by.replace((pattern, value))
+                && says(other) == says(pattern)
+                && before != value
+            {
+                let what =
+                    format!("'{other}' and '{pattern}' fit {} '{name}' alike, and give {before} and {value}", kinds[0]);
+                return Err(Refusal::new(what, "give its name, or patterns that do not fit it both"));
+            }
+        }
+        if !any {
+            let what = format!("no {} fits '{pattern}'", kinds[1]);
+            return Err(Refusal::new(what, format!("known are: {}", names.join(", "))));
+        }
+    }
+    Ok(set_by.into_iter().map(|set_by| Some(set_by?.1)).collect())
 }

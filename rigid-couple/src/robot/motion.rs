@@ -2,11 +2,11 @@
 
 use super::dynamics::places;
 use super::joints::Order;
-use super::model::{Drive, RobotModel};
+use super::model::{Drive, RobotModel, by_name};
 use super::reach::{Target, reach};
 use crate::Refusal;
 use crate::motion::{Pose, rotation_from};
-use barchan_core::scene::{Gait, JointFrame, JointMotion, LinkPath, fits};
+use barchan_core::scene::{Gait, JointFrame, JointMotion, LinkPath};
 use glam::{DQuat, DVec3};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -34,37 +34,12 @@ pub struct JointPath {
 /// # Errors
 /// If a name fits no joint, or a position is not within its limits.
 pub fn set(given: &BTreeMap<String, f64>, drives: &[Drive], positions: &mut [f64]) -> Result<(), Refusal> {
-    // Whole names count before patterns, and of these those that say more, whatever their order.
-    let says = |name: &str| (!name.contains('*'), name.chars().filter(|c| *c != '*').count());
-    let mut all: Vec<(&String, f64)> = given.iter().map(|(name, value)| (name, *value)).collect();
-    all.sort_by_key(|(name, _)| says(name));
-    let mut set_by: Vec<Option<(&String, f64)>> = vec![None; drives.len()];
-    for (pattern, value) in all {
-        let mut any = false;
-        for ((drive, position), set_by) in drives.iter().zip(&mut *positions).zip(&mut set_by) {
-            if !fits(pattern, &drive.name) {
-                continue;
-            }
-            any = true;
-            if let Some((other, before)) = set_by.replace((pattern, value))
-                && says(other) == says(pattern)
-                && before != value
-            {
-                return Err(Refusal::new(
-                    format!(
-                        "'{other}' and '{pattern}' fit joint '{}' alike, and give {before} and {value}",
-                        drive.name
-                    ),
-                    "give its name, or patterns that do not fit it both",
-                ));
-            }
-            drive.check_position(value, 0.0)?;
-            *position = value;
-        }
-        if !any {
-            let known: Vec<&str> = drives.iter().map(|drive| drive.name.as_str()).collect();
-            let what = format!("no joint that moves fits '{pattern}'");
-            return Err(Refusal::new(what, format!("known are: {}", known.join(", "))));
+    let names: Vec<&str> = drives.iter().map(|drive| drive.name.as_str()).collect();
+    let found = by_name(given, &names, ["joint", "joint that moves"])?;
+    for ((drive, position), given) in drives.iter().zip(positions).zip(found) {
+        if let Some(given) = given {
+            drive.check_position(given, 0.0)?;
+            *position = given;
         }
     }
     Ok(())

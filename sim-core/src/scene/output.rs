@@ -92,7 +92,7 @@ pub struct Picture {
     /// Are pictures made at all?
     #[serde(default = "super::yes")]
     pub on: bool,
-    /// Longest side in pixels.
+    /// Longest side in pixels, with the margins; a page with its legend is never less than 540 wide. The ground alone is 28 pixels narrower.
     #[serde(default = "default_pixels")]
     pub pixels: u32,
     /// Quantity that colours the vertical cut.

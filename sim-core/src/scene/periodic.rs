@@ -20,10 +20,18 @@ impl World {
         std::array::from_fn(|d| self.nearest(d, point[d], to[d]))
     }
 
-    /// The image of a point seen from above [m] that is in the world along periodic axes.
+    /// What stands in the world for a point seen from above [m]: along periodic axes its image there, along others, for one that is outside, the nearest place half a cell
+    /// from the side.
     pub(crate) fn inside(&self, point: [f64; 2]) -> [f64; 2] {
-        let middle = |d: usize| 0.5 * (self.min[d] + self.max[d]);
-        std::array::from_fn(|d| self.nearest(d, point[d], middle(d)))
+        std::array::from_fn(|d| {
+            let (min, max, inner) = (self.min[d], self.max[d], 0.5 * self.cell);
+            match point[d] {
+                x if self.is_periodic(d) => self.nearest(d, x, 0.5 * (min + max)),
+                x if x < min => min + inner,
+                x if x > max => max - inner,
+                x => x,
+            }
+        })
     }
 
     /// How far those images of the world are from it that a box reaches into [m]; along axes that are not periodic there is but one.
@@ -68,6 +76,7 @@ mod tests {
         assert_eq!(of(0.5, 1.5), [[0.0; 3], [2.0, 0.0, 0.0]]);
         assert_eq!(of(-4.9, -4.8), [[-4.0, 0.0, 0.0]]);
         assert_eq!(world.image_near([0.75, 3.0, 0.0], [-5.0, 0.0, 0.0]), [-5.25, 3.0, 0.0]);
-        assert_eq!(world.inside([3.5, 3.0]), [-0.5, 3.0]);
+        assert_eq!(world.inside([3.5, 0.5]), [-0.5, 0.5]);
+        assert_eq!([world.inside([0.0, 3.0]), world.inside([0.0, -0.01])], [[0.0, 0.75], [0.0, 0.25]]);
     }
 }

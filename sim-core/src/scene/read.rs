@@ -1,7 +1,7 @@
 //! Reading scenes: TOML text, overrides, and errors that know file, line and key path.
 
-use super::Scene;
 use super::plane::complete;
+use super::{Scene, Time};
 use crate::{Error, Result, snapshot};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -183,6 +183,17 @@ impl Scene {
     /// Takes over the overrides of a resumed run's scene.
     pub(crate) fn note_overrides(&mut self, overrides: Vec<String>) {
         self.source = Arc::new(Source { overrides, ..(*self.source).clone() });
+    }
+
+    /// The same scene with the names of another, what that writes and draws, and when it ends: nothing of this changes a state.
+    pub(crate) fn in_words_of(&self, own: &Self) -> Self {
+        Self {
+            name: own.name.clone(),
+            doc: own.doc.clone(),
+            output: own.output.clone(),
+            time: Time { end: own.time.end, ..self.time.clone() },
+            ..self.clone()
+        }
     }
 
     /// The first key in which two scenes differ, and its value in each: empty, if the key is absent.

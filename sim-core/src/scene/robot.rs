@@ -58,6 +58,10 @@ pub struct Robot {
     /// Do its links touch one another? Neighbours at a joint never do, nor do links that overlap at the start.
     #[serde(default)]
     pub self_collision: bool,
+    /// Masses of its links instead of the URDF's [kg], by name; a `*` stands for any letters, and names count before patterns as those of `joints` do. A link's inertia
+    /// grows with its mass. What it carries is mass of its base, or of its hand.
+    #[serde(default)]
+    pub masses: BTreeMap<String, f64>,
     /// Mend inertias that no body has, instead of refusing them.
     #[serde(default)]
     pub mend_inertias: bool,

@@ -1,7 +1,7 @@
 //! States of a simulation, in memory and in files: one form for going back, for copies and for snapshots.
 
 use super::{Chosen, Options, Simulation, find_backend};
-use crate::file::Stamp;
+use crate::file::{Stamp, changed};
 use crate::flow::FlowState;
 use crate::plan::PARTICLES;
 use crate::snapshot::{self, Snapshot};
@@ -89,8 +89,14 @@ impl State {
         &self.moment.particles
     }
 
-    /// The plan and the couplings of a simulation that goes on from it.
-    pub(crate) fn prepared(&self, registry: &Registry, backend: &dyn Backend, options: &Options) -> Result<Prepared> {
+    /// The plan and the couplings of a simulation that goes on from it; in the words of `own`, if it takes the place of that scene's.
+    pub(crate) fn prepared(
+        &self,
+        registry: &Registry,
+        backend: &dyn Backend,
+        options: &Options,
+        own: Option<&Scene>,
+    ) -> Result<Prepared> {
         options.check()?;
         let moment = &self.moment;
         if moment.precision != options.precision {
@@ -101,6 +107,9 @@ impl State {
         if plan.threads != options.threads || plan.adapter != options.adapter {
             let (threads, adapter) = (options.threads, options.adapter.clone());
             plan = Arc::new(Plan { threads, adapter, ..(*plan).clone() });
+        }
+        if let Some(own) = own {
+            plan = Arc::new(Plan { scene: plan.scene.in_words_of(own), ..(*plan).clone() });
         }
         plan.check_forms(backend)?;
         let mut couplings = plan.make_couplings(registry)?;
@@ -154,6 +163,7 @@ impl Simulation {
 
     /// Goes on from a state of the same scene: an earlier one of its own, or another simulation's. What follows is bit for bit what followed there
     /// if backend and machine are the same; another backend sorts the particles anew. Nothing is planned or seeded. Particles go through the host's memory.
+    /// Names and what is written and drawn (`name`, `doc`, `output`) may differ, and when the scene ends: these stay its own.
     ///
     /// # Errors
     /// [`Error::Body`] if it is a state of another scene or number format, or of couplings of another version; everything is as before then.
@@ -176,7 +186,7 @@ impl Simulation {
         if !self.is_seeded_otherwise(state) {
             return self.set_state(state);
         }
-        let mut other = Self::from_state(registry, state, options)?;
+        let mut other = Self::from_state_as(registry, state, options, Some(&self.plan.scene))?;
         other.report_bodies(self.reports_bodies());
         *self = other;
         Ok(())
@@ -222,9 +232,9 @@ impl Simulation {
         self.take_up(&state.moment);
     }
 
-    /// Is it a state of the same scene, in the same number format?
+    /// Is it a state of the same scene, to the last word, in the same number format?
     pub fn is_of(&self, state: &State) -> bool {
-        self.differs(state).is_none()
+        self.differs(state).is_none() && self.plan.scene.difference(&state.plan.scene).is_none()
     }
 
     /// Is it a state of a scene with another random seed, and the same in all else?
@@ -249,10 +259,17 @@ impl Simulation {
         if ours.precision != theirs.precision {
             return Some(format!("it is in {}, and this simulation in {}", theirs.precision, ours.precision));
         }
-        if ours.files != theirs.files || ours.scene.folder != scene.folder {
-            return Some("it is of a scene that reads other files".to_owned());
+        // What files held counts, not where they are.
+        if ours.files != theirs.files {
+            let (ours, theirs) = (listed(&ours.files), listed(&theirs.files));
+            let what = if ours == theirs {
+                "other contents".to_owned()
+            } else {
+                format!("[{theirs}] there and [{ours}] here")
+            };
+            return Some(format!("it is of a scene that reads other files: {what}"));
         }
-        let (path, [here, there]) = ours.scene.difference(scene)?;
+        let (path, [here, there]) = ours.scene.difference(&scene.in_words_of(&ours.scene))?;
         Some(format!("it is of another scene: {path} is {there} there and {here} here"))
     }
 
@@ -262,8 +279,13 @@ impl Simulation {
     /// # Errors
     /// [`Error::Body`] if another number format is asked for; those of the backend and of couplings that are made from the scene.
     pub fn from_state(registry: &Registry, state: &State, options: &Options) -> Result<Self> {
+        Self::from_state_as(registry, state, options, None)
+    }
+
+    /// The same, in the words of another scene.
+    fn from_state_as(registry: &Registry, state: &State, options: &Options, own: Option<&Scene>) -> Result<Self> {
         let backend = find_backend(registry, options)?;
-        let (plan, couplings) = state.prepared(registry, backend, options)?;
+        let (plan, couplings) = state.prepared(registry, backend, options, own)?;
         let moment = &state.moment;
         let mut engine = backend.compile(&plan, moment.particles_for(backend.name()))?;
         engine.carry_on(&moment.carried);
@@ -294,14 +316,11 @@ impl Simulation {
         let backend = find_backend(registry, options)?;
         let mut scene = Scene::from_str(&scene, &path.display().to_string(), &folder)?;
         scene.note_overrides(set);
-        for then in &files {
-            if Stamp::of(&scene.folder, &then.file)? != *then {
-                let file = scene.folder.join(&then.file);
-                return Err(refuse(
-                    format!("continues a scene whose file {} has changed since the run began", file.display()),
-                    "put the file back as it was, or start a new run",
-                ));
-            }
+        if let Some(file) = changed(&scene.folder, &files)? {
+            return Err(refuse(
+                format!("continues a scene whose file {} has changed since the run began", file.display()),
+                "put the file back as it was, or start a new run",
+            ));
         }
         let particles = moment.particles_for(backend.name());
         let assembled = Plan::assemble_with(registry, &scene, options, Some(particles));
@@ -360,6 +379,11 @@ impl Simulation {
         self.carried.clone_from(&moment.carried.counts);
         self.watch = None;
     }
+}
+
+/// Names of files, one behind the other.
+fn listed(files: &[Stamp]) -> String {
+    files.iter().map(|stamp| stamp.file.display().to_string()).collect::<Vec<_>>().join(", ")
 }
 
 /// What couplings have saved, by their names.

@@ -686,6 +686,10 @@ fn robot(frame: &mut Frame, name: &str) -> Table {
             Value::Table(bent.map(|(joint, angle)| (joint.to_owned(), Value::Float(angle))).into_iter().collect()),
         );
     }
+    if frame.is(0.2) {
+        let masses = [("*".to_owned(), Value::Float(frame.between(0.1, 5.0)))];
+        set("masses", Value::Table(masses.into_iter().collect()));
+    }
     if frame.is(0.7) {
         let mut motor = Table::new();
         let kp = frame.pick(&[0.0, 10.0, 250.0, 2000.0]);

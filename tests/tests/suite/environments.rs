@@ -4,7 +4,7 @@ use barchan::environment::{Environment, Recording};
 use barchan::parameter::{Given, Table};
 use barchan::task::Watch;
 use barchan::worlds::Worlds;
-use barchan::{Aabb, Options, Precision, Scene};
+use barchan::{Aabb, Options, Precision, Scene, Simulation};
 use barchan_tests::scenes::{everywhere, options, rows, within};
 
 /// A small heap under a scraper; on two levels, the finer one around the scraper.
@@ -125,6 +125,22 @@ fn heights_in_all_worlds_are_those_of_soft_ground() {
             // Three points or four are above the scraper, whose top is at 0.19.
             assert!((3..=4).contains(&higher), "{higher} points on {}", options.backend);
         }
+    }
+}
+
+/// Symptom: beside a wall a robot's scan saw a cliff down to the floor, where there is no world any more.
+#[test]
+fn beyond_the_sides_the_ground_is_as_high_as_beside_them() {
+    for options in everywhere() {
+        let scene = Scene::from_str(SCENE, "heap.toml", "").unwrap();
+        let [min, max] = [scene.world.min, scene.world.max];
+        let (inner, y) = (0.5 * scene.world.cell, 0.5 * (min[1] + max[1]));
+        let simulation = Simulation::new(&barchan::registry(), &scene, &options).unwrap();
+        let beside = [[min[0] + inner, y], [max[0] - inner, y], [0.5 * (min[0] + max[0]), max[1] - inner]];
+        let beyond = [[min[0] - 0.3, y], [max[0] + 9.0, y], [0.5 * (min[0] + max[0]), max[1] + 0.01]];
+        let [beside, beyond] = [beside, beyond].map(|points| simulation.heights(&points).unwrap());
+        assert_eq!(beside, beyond, "{}", options.backend);
+        assert!(beside.iter().any(|height| height.is_some_and(|height| height > min[2])), "{beside:?}");
     }
 }
 

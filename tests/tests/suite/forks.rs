@@ -1,6 +1,6 @@
 //! States in memory and copies of worlds go on as their sources do, on every backend.
 
-use barchan::{Aabb, Error, Options, Precision, Simulation};
+use barchan::{Aabb, Error, Options, Precision, Scene, Simulation};
 use barchan_tests::forks::{ploughed, states_go_on, worlds_fork, worlds_take_over};
 use barchan_tests::readings::hold;
 use barchan_tests::scenes::{everywhere, options};
@@ -52,6 +52,56 @@ fn a_state_of_another_scene_is_refused() {
     assert_eq!(format!("{:?} {:?}", one.particles(), one.bodies()), before);
     // Another simulation of the same scene is as good as itself.
     one.set_state(&make(ploughed(1, 1, false), Precision::F32).state().unwrap()).unwrap();
+}
+
+/// Symptom: a state from a file was refused by a simulation of the same scene that was made from a dict, since it was of another folder; and a world could not take a state
+/// to be drawn larger, or to go on for longer.
+#[test]
+fn a_state_fits_whatever_the_scene_is_called_and_wherever_it_is_read() {
+    let registry = barchan::registry();
+    for options in everywhere() {
+        let first = Simulation::new(&registry, &ploughed(1, 1, false), &options).unwrap();
+        let mut state = first.state().unwrap();
+        for seed in [first.plan().scene.seed, 7] {
+            let mut scene = ploughed(1, 1, false);
+            (scene.name, scene.doc, scene.seed) = ("other".into(), "Other words.".into(), seed);
+            (scene.folder, scene.time.end) = ("elsewhere".into(), 2.0 * scene.time.end);
+            scene.output.picture.pixels = 300;
+            let mut other = Simulation::new(&registry, &scene, &options).unwrap();
+            (0..3).for_each(|_| drop(other.step().unwrap()));
+            other.check_state(&state).unwrap();
+            other.restore(&registry, &state, &options).unwrap();
+            let now = &other.plan().scene;
+            assert_eq!((other.step_count(), now.name.as_str(), now.output.picture.pixels), (0, "other", 300));
+            assert_eq!((now.seed, now.time.end), (first.plan().scene.seed, scene.time.end));
+            assert_eq!(format!("{:?}", other.particles().lists), format!("{:?}", first.particles().lists));
+            state = other.state().unwrap();
+        }
+    }
+}
+
+/// Symptom: a copy of a simulation read its robot's file again, and went on with a robot of another mass.
+#[test]
+fn a_copy_does_not_take_over_a_file_that_has_changed() {
+    let (registry, folder) = (barchan::registry(), tempfile::tempdir().unwrap());
+    let file = folder.path().join("r.urdf");
+    let write = |mass: f64| {
+        let link = format!("<inertial><mass value='{mass}'/><inertia ixx='1' iyy='1' izz='1'/></inertial>");
+        std::fs::write(&file, format!("<robot name='r'><link name='l'>{link}</link></robot>")).unwrap();
+    };
+    write(2.0);
+    let text = "name = \"s\"\nworld = { cell = 0.1, min = [0, 0, 0], max = [1, 1, 1] }\ntime = { end = 1, step = 0.001 }\n[[robot]]\nname = \"r\"\nurdf = \"r.urdf\"\nposition = [0.5, 0.5, 0.5]";
+    let scene = Scene::from_str(text, "s.toml", folder.path()).unwrap();
+    let options = options(Precision::F64);
+    let simulation = Simulation::new(&registry, &scene, &options).unwrap();
+    let state = simulation.state().unwrap();
+    assert_eq!(Simulation::from_state(&registry, &state, &options).unwrap().bodies()[0].mass, 2.0);
+    write(6.0);
+    let error = Simulation::from_state(&registry, &state, &options).unwrap_err().to_string();
+    assert!(error.contains("r.urdf") && error.contains("has changed since the simulation was made"), "{error}");
+    let other = Simulation::new(&registry, &scene, &options).unwrap();
+    let error = other.check_state(&state).unwrap_err().to_string();
+    assert!(error.contains("reads other files: other contents"), "{error}");
 }
 
 /// What is read of a region is what a copy of all particles has there, on all levels.

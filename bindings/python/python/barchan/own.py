@@ -106,8 +106,11 @@ class SceneVectorEnv(WorldsVectorEnv):
         if not isinstance(action_space, (spaces.Box, spaces.Discrete, spaces.MultiDiscrete, spaces.MultiBinary)):
             raise TypeError(f"action_space: it is a {type(action_space).__name__}; give a Box, Discrete, MultiDiscrete or MultiBinary of gymnasium.spaces")
         parts = observation_space.spaces if isinstance(observation_space, spaces.Dict) else {"": observation_space}
-        if not parts or not all(isinstance(part, spaces.Box) for part in parts.values()):
-            raise TypeError(f"observation_space: it is a {type(observation_space).__name__}; give a Box of gymnasium.spaces, or a Dict of them")
+        other = next((name for name, part in parts.items() if not isinstance(part, spaces.Box)), None)
+        if not parts or other is not None:
+            what = f"its part {other!r}" if other else "it"
+            kind = type(parts[other] if other is not None else observation_space).__name__
+            raise TypeError(f"observation_space: {what} is a {kind}; give a Box of gymnasium.spaces, or a Dict of them")
         if failures not in ("raise", "end"):
             raise ValueError(f"failures: {failures!r} is neither 'raise' nor 'end'")
         if picture not in ("page", "ground"):

@@ -78,7 +78,7 @@ class Particles:
 
     def __getattr__(self, name: str) -> Any:
         if name in type(self).__annotations__:
-            hint = "it comes with Simulation.cut" if name == "pressure" else f"ask for it: particles({name!r})"
+            hint = "it comes with Simulation.cut" if name == "pressure" else f"a Simulation reads it: particles({name!r})"
             raise AttributeError(f"'{name}' was not read; {hint}")
         raise AttributeError(f"particles have no '{name}'; these have {', '.join(self.__dict__)}")
 

@@ -2,6 +2,7 @@
 
 use super::root;
 use barchan::{BodyState, Command, Options, Placement, Precision, Scene, Simulation, State};
+use barchan_rigid::robot::RobotModel;
 use barchan_tests::scenes::everywhere;
 use glam::DVec3;
 
@@ -170,4 +171,36 @@ motor = [{ kp = 9, kd = 1 }]
         steps(simulation, 10);
     }
     assert_eq!(format!("{:?}", world.bodies()), format!("{:?}", twin.bodies()));
+}
+
+/// Masses of links may be given by name and by pattern, and inertias grow with them: what a robot carries, and what is drawn anew for each episode.
+#[test]
+fn links_have_the_masses_that_a_scene_gives() {
+    let of = |masses: &[(&str, f64)]| {
+        let mut robot = barchan::scene::Robot::built_in("dog", "quadruped");
+        robot.masses = masses.iter().map(|(name, mass)| ((*name).to_owned(), *mass)).collect();
+        RobotModel::of(&robot, std::path::Path::new(""))
+    };
+    let (plain, heavy) = (of(&[]).unwrap(), of(&[("*_calf", 0.5), ("FL_calf", 2.0)]).unwrap());
+    for (link, was) in heavy.links.iter().zip(&plain.links) {
+        let mass = match link.name.as_str() {
+            "FL_calf" => 2.0,
+            name if name.ends_with("_calf") => 0.5,
+            _ => was.mass,
+        };
+        assert_eq!(link.mass, mass, "{}", link.name);
+        if was.mass > 0.0 {
+            let off = (link.inertia - was.inertia * (mass / was.mass)).abs();
+            assert!(off.x_axis.max(off.y_axis).max(off.z_axis).max_element() < 1e-15, "{}", link.name);
+        }
+    }
+    for (masses, expected) in [
+        (&[("tail", 1.0)][..], "no link with a mass of its own fits 'tail'"),
+        (&[("FL_calf", 0.0)], "0 kg is no mass of link 'FL_calf'"),
+        (&[("FL_calf", f64::NAN)], "NaN kg is no mass"),
+        (&[("FL_*alf", 1.0), ("*L_calf", 2.0)], "fit link 'FL_calf' alike, and give"),
+    ] {
+        let refusal = of(masses).unwrap_err();
+        assert!(refusal.what.contains(expected), "{}", refusal.what);
+    }
 }

@@ -171,8 +171,11 @@ scan = {{ min = [-0.3, -0.2], max = [0.3, 0.2], points = [9, 5] }}
         let side = DVec3::new(scan.points[8][0] - scan.points[0][0], scan.points[8][1] - scan.points[0][1], 0.0);
         let ahead = DQuat::from_xyzw(0.1, 0.05, 0.3, 0.94).normalize() * DVec3::X;
         assert!((side.length() - 0.6).abs() < 1e-9 && side.angle_between(ahead.with_z(0.0)) < 1e-6, "{side}");
-        // Beyond the ground there is the floor.
-        assert_eq!(dog.heights(&[[1.5, 0.5]]).unwrap(), [Some(0.0)]);
+        // Beyond the world's side it is as high as beside it.
+        let world = &dog.plan().scene.world;
+        let side = [world.max[0] - 0.5 * world.cell, 0.5];
+        let [beyond, beside] = dog.heights(&[[1.5, 0.5], side]).unwrap()[..] else { panic!("two heights") };
+        assert!(beyond == beside && beside.is_some_and(|height| height > 0.1), "{beyond:?} {beside:?}");
     }
 }
 
