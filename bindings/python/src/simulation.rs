@@ -149,7 +149,8 @@ impl Simulation {
         Ok(Self { machine: Shared::new(machine), scene, options: Mutex::new(options) })
     }
 
-    /// Goes on from a file that `save` or a run of the command line has written, as one world. Precision is the file's.
+    /// Goes on from a file that `save` or a run of the command line has written, as one world. Precision is the file's. For several worlds, make a simulation of the same
+    /// scene and `restore` the loaded one's `state()` there.
     ///
     /// Raises `SnapshotError` or `FileError` if the file cannot be used.
     #[staticmethod]
@@ -804,7 +805,7 @@ impl Simulation {
     }
 
     /// Goes back to a state: what follows is bit for bit what followed then. It is set in all worlds, or in those in `worlds` (a number or a list). A world takes over the
-    /// state's random seed.
+    /// state's random seed. What is drawn and written of the scene may differ, as may its name and end.
     ///
     /// Raises `BodyError` if it is a state of another scene or precision. No world has gone back then.
     #[pyo3(signature = (state, *, worlds=None))]
